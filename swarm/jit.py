@@ -50,8 +50,8 @@ def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Res
     """Return a function of numbers and arrays that is compiled before its first call, or at it.
 
     A function whose annotations determine the types of its arguments (:mod:`swarm.signatures`) has
-    machine code for these types only; :mod:`swarm.precompile` compiles it beforehand. Others are
-    called by compiled functions and are compiled with them.
+    machine code for these types only; :mod:`swarm.precompile` compiles it beforehand. What only
+    compiled functions call is an :func:`inner` one.
 
     The machine code is kept in the user's cache, so that it is compiled once per machine; where the
     cache is not writable, once per process. It is compiled again when the contents change of its
@@ -59,23 +59,59 @@ def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Res
     through others: constants and functions of other modules become part of the machine code.
     Division by 0 has the result of NumPy.
     """
-    before = numba.config.CACHE_DIR
-    try:
-        # Not beside the module: pip uninstall leaves files that it did not install, and Python
-        # treats the remaining folders as a package.
-        numba.config.CACHE_DIR = str(_folder(function.__code__.co_filename))
-        made = numba.njit(function, cache=True, **_OPTIONS)
-    except (RuntimeError, OSError):
-        made = numba.njit(function, **_OPTIONS)
-    finally:
-        numba.config.CACHE_DIR = before
+    made = _made(function, "", **_OPTIONS)
     made._compile_for_args = functools.partial(_matching, made)
     return cast("Callable[Parameters, Result]", made)
 
 
+def inner(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+    """Return a function that only compiled functions call; it is compiled with them.
+
+    It has no machine code for calls from Python, which would be a tenth of the compilation. Where
+    Python calls it nevertheless, as tests do, a copy of it is compiled as :func:`compiled` does.
+    """
+    made = _made(function, "", no_cpython_wrapper=True, **_OPTIONS)
+    # Numba's own method would let Python call what is missing, and the process would end there.
+    made.add_overload = functools.partial(_kept_for_callers, made)
+    made._compile_for_args = functools.partial(_copy_for_python, made)
+    return cast("Callable[Parameters, Result]", made)
+
+
+def _made(function: Callable[..., Any], folder: str, **options: Any) -> Any:
+    """Return Numba's function with machine code kept in a folder of the cache, where that works."""
+    before = numba.config.CACHE_DIR
+    try:
+        # Not beside the module: pip uninstall leaves files that it did not install, and Python
+        # treats the remaining folders as a package.
+        numba.config.CACHE_DIR = str(_folder(function.__code__.co_filename) / folder)
+        return numba.njit(function, cache=True, **options)
+    except (RuntimeError, OSError):
+        return numba.njit(function, **options)
+    finally:
+        numba.config.CACHE_DIR = before
+
+
+def _kept_for_callers(made: Any, compiled_as: Any) -> None:
+    """Keep what was compiled for some types where compiled callers find it, but not Python."""
+    made.overloads[tuple(compiled_as.signature.args)] = compiled_as
+
+
+def _copy_for_python(made: Any, *_arguments: Any, **_named: Any) -> Callable[..., Any]:
+    """Return the copy of an inner function that Python may call, for Numba's dispatcher."""
+    return _interpreted(made) if _SEALED.is_set() else _copy(made.py_func)
+
+
+@functools.cache
+def _copy(function: Callable[..., Any]) -> Any:
+    return _made(function, "python", **_OPTIONS)
+
+
 def declared(made: Any) -> tuple[types.Type, ...] | None:
-    """Return the argument types in the annotations of a compiled function, None without them."""
-    return signature(made.py_func)
+    """Return the argument types in the annotations of a compiled function, None without them.
+
+    None for an inner function, too: its callers determine them.
+    """
+    return None if made.targetoptions.get("no_cpython_wrapper") else signature(made.py_func)
 
 
 @contextmanager
@@ -108,8 +144,13 @@ def _matching(made: Any, *arguments: Any, **named: Any) -> Callable[..., Any]:
             return cast("Callable[..., Any]", made.overloads[expected].entry_point)
     if not _SEALED.is_set():
         return cast("Callable[..., Any]", type(made)._compile_for_args(made, *arguments, **named))
+    return _interpreted(made)
+
+
+def _interpreted(made: Any) -> Callable[..., Any]:
+    """Return a function as Python executes it, and say so."""
     name = f"{made.py_func.__module__}.{made.py_func.__name__}"
-    warnings.warn(f"{name} is interpreted: no machine code", RuntimeWarning, stacklevel=2)
+    warnings.warn(f"{name} is interpreted: no machine code", RuntimeWarning, stacklevel=3)
     return cast("Callable[..., Any]", made.py_func)
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from swarm import jit, precompile
-from swarm.jit import key
+from swarm.geometry.vectors import dot
+from swarm.jit import key, sealed
 
 PACKAGE = {
     "inner.py": (
@@ -173,3 +174,10 @@ def test_another_installation_of_the_same_sources_is_compiled_beforehand_too(tmp
     assert None not in marks
     assert len({*marks[:3]}) == 3
     assert marks[2] == marks[3]
+
+
+def test_an_inner_function_can_be_called_from_python_but_not_in_flight() -> None:
+    assert dot((1.0, 2.0, 3.0), (4.0, 5.0, 6.0)) == 32.0
+    assert jit.declared(dot) is None
+    with sealed(), pytest.warns(RuntimeWarning, match=r"vectors\.dot is interpreted"):
+        assert dot((1.0, 2.0, 3.0), (4.0, 5.0, 6.0)) == 32.0

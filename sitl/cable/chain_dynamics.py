@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarm.geometry.lumped_mass import solve_tridiagonal
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Bools1, Floats1, Floats2
 
 Array = NDArray[np.float64]
@@ -113,7 +113,7 @@ def advance(chain: Chain, spec: ChainSpec, guidance: Guidance, interval: float, 
             size *= 2
 
 
-@compiled
+@inner
 def _clear(scalars: Array, vectors: Array) -> None:
     """Write 0 to scalars (m,) and vectors (k, 3).
 
@@ -126,7 +126,7 @@ def _clear(scalars: Array, vectors: Array) -> None:
             vectors[i, x] = 0.0
 
 
-@compiled
+@inner
 def _too_tight(chain: Chain, multiplier: Array) -> bool:
     """Return whether nodes between taut links oscillate too fast for the step.
 
@@ -144,7 +144,7 @@ def _too_tight(chain: Chain, multiplier: Array) -> bool:
     return False
 
 
-@compiled
+@inner
 def _add_means(chain: Chain, multiplier: Array, impulse: Array, scale: float) -> None:
     """Add a step's tensions and forces on the nodes to the means of the interval."""
     for j in range(len(multiplier)):
@@ -154,7 +154,7 @@ def _add_means(chain: Chain, multiplier: Array, impulse: Array, scale: float) ->
             chain.pull[j + 1, x] -= scale * impulse[j, x]
 
 
-@compiled
+@inner
 def _move_freely(
     chain: Chain, spec: ChainSpec, guidance: Guidance, step: float, share: float, after: Array
 ) -> None:
@@ -195,7 +195,7 @@ def _move_freely(
             after[i, x] = chain.place[i, x] + step * (chain.velocity[i, x] + step * push)
 
 
-@compiled
+@inner
 def _restore_links(
     chain: Chain, spec: ChainSpec, after: Array, system: Array, impulse: Array, step: float
 ) -> None:
@@ -250,7 +250,7 @@ def _restore_links(
                 impulse[j, x] += push
 
 
-@compiled
+@inner
 def _directions(place: Array, along: Array, length: Array) -> None:
     """Write the unit vectors (n − 1, 3) and the lengths (n − 1,) of the links."""
     for j in range(len(length)):
@@ -263,7 +263,7 @@ def _directions(place: Array, along: Array, length: Array) -> None:
             along[j, x] /= length[j]
 
 
-@compiled
+@inner
 def _turns_far(chain: Chain, after: Array) -> bool:
     """Return whether a link turns by more than about 45° in the step.
 
@@ -283,7 +283,7 @@ def _turns_far(chain: Chain, after: Array) -> bool:
     return False
 
 
-@compiled
+@inner
 def _touch_floor(chain: Chain, spec: ChainSpec, after: Array, step: float) -> None:
     """Keep free nodes above the floor; friction slows nodes that lie on it."""
     for i in range(len(after)):
@@ -297,7 +297,7 @@ def _touch_floor(chain: Chain, spec: ChainSpec, after: Array, step: float) -> No
         after[i, 1] = chain.place[i, 1] + kept * north
 
 
-@compiled
+@inner
 def _dot(a: Array, i: int, b: Array, j: int) -> float:
     """Return the product of row i of ``a`` and row j of ``b``."""
     return float(a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2])

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Columns2, Floats1, Floats2, Ints1, Ints2
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ def solve(
         solution[LENGTH, i], solution[RESTING, i] = lengths[i], 1.0 if resting else 0.0
 
 
-@compiled
+@inner
 def _log_z(ratio: float) -> float:
     """Return log z for ``ratio = log(sinh z / z − 1)``, by linear interpolation in the table."""
     low, high = 0, len(TABLE_RATIO) - 1
@@ -97,7 +97,7 @@ def _log_z(ratio: float) -> float:
     return float(slope * (ratio - TABLE_RATIO[low]) + TABLE_LOG_Z[low])
 
 
-@compiled
+@inner
 def _on_floor(
     first: float, last: float, distance: float, slack: float, guess: float
 ) -> tuple[float, float, float]:
@@ -114,7 +114,7 @@ def _on_floor(
     return a, math.sqrt(first**2 + 2.0 * first * a), math.sqrt(last**2 + 2.0 * last * a)
 
 
-@compiled
+@inner
 def _floor_parameter(first: float, last: float, slack: float, guess: float) -> float:
     """Return the catenary parameter of a span whose two ends descend to the floor.
 
@@ -236,7 +236,7 @@ def place_samples(
             place[k] = ends[j, k] + sideways / distance * flat[j, k] + drop * down[k]
 
 
-@compiled
+@inner
 def _resting_point(along: float, span: Array) -> tuple[float, float]:
     """Return distance from the start and height above the floor of a point of a resting span.
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.physics.geodesy import GRAVITY
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Bools1, Floats1, Floats2, Floats3, Singles2
 
 Array = NDArray[np.float64]
@@ -113,7 +113,7 @@ def step(
     return any_hard
 
 
-@compiled
+@inner
 def _stand(body: Array, height: float) -> None:
     """Keep the legs of one vehicle on the floor, with friction."""
     body[2, POSITION] = height
@@ -200,7 +200,7 @@ def update_air(state: Floats3, disturbances: Floats3, constants: Floats2) -> Non
         state[i, 2, AIR] -= GRAVITY
 
 
-@compiled
+@inner
 def _step_gusts(gust: Array, random: Array, keep: float, intensity: float) -> None:
     """Advance gusts (m, 3), in place; see `sitl.physics.wind.gust_persistence`."""
     for i in range(len(gust)):
@@ -210,7 +210,7 @@ def _step_gusts(gust: Array, random: Array, keep: float, intensity: float) -> No
             gust[i, k] = keep * gust[i, k] + drawn
 
 
-@compiled
+@inner
 def _add_gusts(gust: Array, disturbances: Array) -> None:
     """Write the wind at every vehicle into ``disturbances``: the first gust is common to all."""
     for i in range(len(disturbances)):
@@ -219,7 +219,7 @@ def _add_gusts(gust: Array, disturbances: Array) -> None:
             disturbances[i, k, WIND] = steady + 0.8 * gust[0, k] + 0.6 * gust[i + 1, k]
 
 
-@compiled
+@inner
 def _downwash(state: Array, constants: Array, apart: Array) -> Array:
     """Return the downward air speed (n,) at every vehicle from those above it.
 
@@ -272,7 +272,7 @@ def telemetry_rows(
         row[6], row[7], row[8], row[11] = roll, pitch, turned, -yaw_rate[i]
 
 
-@compiled
+@inner
 def _attitude(body: Array, tumbles: bool, tumble: float, yaw: float) -> tuple[float, float, float]:
     """Return roll, pitch and yaw (NED, radians) of one vehicle."""
     if tumbles:
@@ -301,6 +301,6 @@ def tilts(state: Floats3, tumbling: Bools1, tumble: Floats1) -> Array:
     return leans
 
 
-@compiled
+@inner
 def _wrap(angle: float) -> float:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi

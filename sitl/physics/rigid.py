@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.physics.geodesy import GRAVITY
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2
 
 Array = NDArray[np.float64]
@@ -118,7 +118,7 @@ def step(
     return measured
 
 
-@compiled
+@inner
 def _rotation(body: Array, rotation: Array) -> None:
     """Write the rotation matrix (3, 3), body to world, of one vehicle's attitude."""
     w, x, y, z = body[6], body[7], body[8], body[9]
@@ -129,7 +129,7 @@ def _rotation(body: Array, rotation: Array) -> None:
     rotation[2, 2] = 1.0 - 2.0 * (x * x + y * y)
 
 
-@compiled
+@inner
 def _inertia(frame: Frame, i: int) -> tuple[float, float, float]:
     """Return the moments of inertia of vehicle ``i`` about its axes, kg m²."""
     scale = frame.mass[i] * frame.radius[i] ** 2
@@ -138,7 +138,7 @@ def _inertia(frame: Frame, i: int) -> tuple[float, float, float]:
     return about_x, about_y, scale * _GYRATION[2] ** 2
 
 
-@compiled
+@inner
 def _spin(
     body: Array, rotation: Array, frame: Frame, i: int, outside: Array, interval: float
 ) -> None:
@@ -160,7 +160,7 @@ def _spin(
     body[12] += interval * (torque_z + (inertia_x - inertia_y) * p * q) / inertia_z
 
 
-@compiled
+@inner
 def _turn(body: Array, interval: float) -> None:
     """Advance the attitude of one vehicle by its rates."""
     p, q, r = 0.5 * interval * body[10], 0.5 * interval * body[11], 0.5 * interval * body[12]
@@ -174,7 +174,7 @@ def _turn(body: Array, interval: float) -> None:
         body[k] /= norm
 
 
-@compiled
+@inner
 def _rub(body: Array, total: Array, pressed: float, interval: float) -> None:
     """Slow one vehicle on the floor by friction, at most to rest; add it to what is measured.
 
@@ -187,7 +187,7 @@ def _rub(body: Array, total: Array, pressed: float, interval: float) -> None:
         body[3 + k] *= 1.0 - stopped
 
 
-@compiled
+@inner
 def _level(body: Array, rotation: Array, frame: Frame, i: int, impulse: float) -> None:
     """Turn the rates of vehicle ``i`` to those that level it on its legs, heading kept.
 

@@ -16,7 +16,7 @@ from sitl.physics.dynamics import Bodies
 from sitl.protocol import wire
 from sitl.protocol.links import Link
 from sitl.protocol.vehicle import Vehicle
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, Ints1
 
 Array = NDArray[np.float64]
@@ -126,7 +126,7 @@ def _set_goals(
     return len(indices)
 
 
-@compiled
+@inner
 def _is_setpoint(data: bytes, at: int) -> bool:
     """Return whether the bytes are a SET_POSITION_TARGET_LOCAL_NED with a correct checksum."""
     number = data[at + 7] | data[at + 8] << 8 | data[at + 9] << 16
@@ -142,7 +142,7 @@ def _is_setpoint(data: bytes, at: int) -> bool:
     return bool(checksum == data[at + _SUM] | data[at + _SUM + 1] << 8)
 
 
-@compiled
+@inner
 def _addresses(data: bytes, at: int, system: int) -> bool:
     """Return whether the setpoint is for this autopilot, with all axes, in LOCAL_NED."""
     target, component = data[at + _TARGET], data[at + _TARGET + 1]
@@ -151,7 +151,7 @@ def _addresses(data: bytes, at: int, system: int) -> bool:
     return bool(addressed and data[at + _TARGET + 2] == _LOCAL_NED and not mask & _INCOMPLETE)
 
 
-@compiled
+@inner
 def _extended(checksum: int, byte: int) -> int:
     """Return the X25 checksum extended by one byte."""
     change = (byte ^ checksum) & 0xFF

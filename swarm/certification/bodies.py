@@ -32,7 +32,7 @@ from swarm.certification.strand_pieces import (
 )
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
 from swarm.geometry.vectors import Vector, difference, dot, moved, size, unit
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, Ints2, contiguous
 
 Floats = npt.NDArray[np.float64]
@@ -151,7 +151,7 @@ def _write_margins(
         _write_margin(cable, piece, (grip, body), distances, b, found)
 
 
-@compiled
+@inner
 def _write_margin(
     cable: CableTables,
     piece: Piece,
@@ -181,7 +181,7 @@ def _write_margin(
         found.place[b, axis] = grip.place[axis] + at_strand[axis]
 
 
-@compiled
+@inner
 def _closest(near: Vector, far: Vector, body: Body, tip: float) -> tuple[float, Vector, Vector]:
     """Return nearly closest points of a chord and of a body, by projections.
 
@@ -199,7 +199,7 @@ def _closest(near: Vector, far: Vector, body: Body, tip: float) -> tuple[float, 
     return along, at_strand, at_body
 
 
-@compiled
+@inner
 def _support(body: Body, normal: Vector, tip: float) -> float:
     """Return the support function of a body in a direction."""
     disc = body.radius * math.hypot(normal[0], normal[1]) + body.grip_offset * normal[2]
@@ -225,7 +225,7 @@ def _write_projected(point: Floats2, tip: Floats1, body: Body, found: Floats2) -
         found[b, 0], found[b, 1], found[b, 2] = _project(here, tip[b], body)
 
 
-@compiled
+@inner
 def _project(point: Vector, tip: float, body: Body) -> Vector:
     """Return the point of a body that is closest to a point, in the plane of its axis."""
     out, up = math.hypot(point[0], point[1]), point[2]

@@ -4,12 +4,12 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary_kernel import max_drop_below_ends
-from swarm.jit import compiled
+from swarm.jit import inner
 
 Floats = npt.NDArray[np.float64]
 
 
-@compiled
+@inner
 def box_distance(
     grips: Floats,
     lengths: Floats,
@@ -39,7 +39,7 @@ def box_distance(
     return float(np.sqrt(square))
 
 
-@compiled
+@inner
 def squared_point_distance(first: Floats, second: Floats) -> float:
     """Return the square of the smallest distance between the points (k, 3) of two strands."""
     least = np.inf

@@ -17,7 +17,7 @@ from swarm.certification.motion_bounds import TeamStates
 from swarm.certification.strand_pieces import HeldCable
 from swarm.geometry.catenary_kernel import max_depth
 from swarm.geometry.sensitivity import LARGEST_RATIO
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Bools1, Floats1, Floats2, Floats3, Ints1, Ints2, contiguous
 
 Floats = npt.NDArray[np.float64]
@@ -140,7 +140,7 @@ def _write_far_vehicles(
         far[b] = _apart(boxes, distance + cable.swing)
 
 
-@compiled
+@inner
 def _write_box(
     team: _Team, cable: _Cable, which: tuple[int, int], frame: Floats, spare: float, box: Floats
 ) -> None:
@@ -167,7 +167,7 @@ def _write_box(
         box[3 + axis] = max(start[axis], end[axis]) + moved + max(hanging, 0.0)
 
 
-@compiled
+@inner
 def _stretched(team: _Team, cable: _Cable, which: tuple[int, int]) -> bool:
     """Return whether a chord may be too long for bounds of movement, which the search reports."""
     m, i = which
@@ -180,7 +180,7 @@ def _stretched(team: _Team, cable: _Cable, which: tuple[int, int]) -> bool:
     return bool(longest >= LARGEST_RATIO * cable.lengths[i])
 
 
-@compiled
+@inner
 def _apart(boxes: Floats, distance: float) -> bool:
     """Return whether two boxes (2, 6) are farther apart than a distance."""
     square = 0.0

@@ -19,7 +19,7 @@ from swarm.certification.strand_pieces import (
 from swarm.geometry.distance import segment_distance, segment_segment
 from swarm.geometry.sensitivity import BOTH_ENDS
 from swarm.geometry.vectors import Vector, difference, dot, moved, unit
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats3, contiguous
 
 Floats = npt.NDArray[np.float64]
@@ -126,7 +126,7 @@ def _write_margins(
             found.place[b, axis] = 0.5 * (piece.near[axis] + piece.far[axis])
 
 
-@compiled
+@inner
 def _from_wall(
     cable: CableTables, piece: Piece, side: Floats, chord: Floats, radius: float
 ) -> tuple[float, float, float]:
@@ -148,7 +148,7 @@ def _from_wall(
     return low, high, moves.point - moves.tracking + (swing.most - swing.now)
 
 
-@compiled
+@inner
 def _within(point: Vector, sides: Floats3) -> bool:
     """Return whether a point lies within the polygon with sides (m, 2, 3), in plan view."""
     inside = False

@@ -27,7 +27,7 @@ from swarm.certification.strand_pieces import (
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.sensitivity import BOTH_ENDS
 from swarm.geometry.vectors import Vector
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -129,7 +129,7 @@ def _write_heights(
         found.place[b, 0], found.place[b, 1], found.place[b, 2] = lowest
 
 
-@compiled
+@inner
 def _lowest(cable: CableTables, segment: int, instant: Instant) -> tuple[float, Vector]:
     """Return a bound of the vertical movement of a strand, and its lowest point."""
     grips = ends_at(cable.motion, instant, segment)
@@ -146,7 +146,7 @@ def _lowest(cable: CableTables, segment: int, instant: Instant) -> tuple[float, 
     return moved, strand_point(strand, cable.down, along)
 
 
-@compiled
+@inner
 def _level_velocity(grips: tuple[Grip, Grip]) -> Vector:
     """Return the mean velocity of two grip points without its vertical part."""
     one, other = grips[0].velocity, grips[1].velocity

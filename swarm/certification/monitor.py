@@ -15,7 +15,7 @@ from swarm.certification.coarse_distance import box_distance, squared_point_dist
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.catenary_kernel import sample_strand
 from swarm.geometry.distance import point_distance, polyline_distance
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.planning import CableState, Plan
 from swarm.signatures import Floats1, Floats2, Floats3, Ints2
 
@@ -174,7 +174,7 @@ def _margin(
     return margin
 
 
-@compiled
+@inner
 def _vehicle_margin(moments: Floats, required: RequiredNow) -> float:
     """Smallest margin between vehicles at the moments (k, n, 3), horizontal or vertical."""
     least = np.inf
@@ -188,7 +188,7 @@ def _vehicle_margin(moments: Floats, required: RequiredNow) -> float:
     return least
 
 
-@compiled
+@inner
 def _chord_margin(moments: Floats, longest: Floats) -> float:
     """Smallest margin of chords to ``longest`` (n − 1,) at the moments (k, n, 3)."""
     least = np.inf
@@ -230,7 +230,7 @@ def _strand_distance(grips: Floats2, required: RequiredNow, far: float, points: 
     return least
 
 
-@compiled
+@inner
 def pair_distance(
     grips: Floats,
     pair: tuple[int, int],
@@ -250,7 +250,7 @@ def pair_distance(
     return apart
 
 
-@compiled
+@inner
 def sampled_distance(
     grips: Floats, pair: tuple[int, int], required: RequiredNow, memory: tuple[Floats, Flags]
 ) -> float:
@@ -268,7 +268,7 @@ def sampled_distance(
     return float(apart)
 
 
-@compiled
+@inner
 def least_between(square: float, spacing: float) -> float:
     """Lower bound of two strands' distance by the squared distance of their points.
 

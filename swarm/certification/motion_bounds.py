@@ -11,7 +11,7 @@ import numpy.typing as npt
 from swarm.geometry.distance import norms
 from swarm.geometry.motion import Motion, find_piece, place_in_piece, speed_in_piece
 from swarm.geometry.vectors import Vector
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, Floats4, contiguous
 
 Floats = npt.NDArray[np.float64]
@@ -153,7 +153,7 @@ class Grip(NamedTuple):
     deviation: float
 
 
-@compiled
+@inner
 def instant_at(motion: MotionTables, time: float, half: float) -> Instant:
     """Return an instant of a motion, with the interval around it."""
     piece, since, moving = find_piece(motion.times, time)
@@ -161,7 +161,7 @@ def instant_at(motion: MotionTables, time: float, half: float) -> Instant:
     return Instant(time, half, piece, since, moving, covering)
 
 
-@compiled
+@inner
 def grip_at(motion: MotionTables, instant: Instant, i: int) -> Grip:
     """Return grip point i at an instant."""
     c, u, moving = motion.coefficients[instant.piece], instant.since, instant.moving
@@ -177,7 +177,7 @@ def grip_at(motion: MotionTables, instant: Instant, i: int) -> Grip:
     )
 
 
-@compiled
+@inner
 def ends_at(motion: MotionTables, instant: Instant, segment: int) -> tuple[Grip, Grip]:
     """Return both grip points of a segment at an instant."""
     return grip_at(motion, instant, segment), grip_at(motion, instant, segment + 1)
@@ -194,7 +194,7 @@ def _bounds_between(
             found[m, i] = largest_between(tables, pieces, i)
 
 
-@compiled
+@inner
 def pieces_between(joints: Floats, start: float, end: float) -> tuple[int, int, int]:
     """Return two runs of 2^level pieces that cover an interval: first piece of each, and level.
 
@@ -208,7 +208,7 @@ def pieces_between(joints: Floats, start: float, end: float) -> tuple[int, int, 
     return int(first), int(last - count + 1), level
 
 
-@compiled
+@inner
 def largest_between(tables: Floats, pieces: tuple[int, int, int], i: int) -> float:
     """Return the bound of grip point i on the runs that :func:`pieces_between` returned."""
     first, last, level = pieces

@@ -42,7 +42,7 @@ from swarm.geometry.sensitivity import (
     sensitivity_tables,
 )
 from swarm.geometry.vectors import Vector, difference, dot, moved, size
-from swarm.jit import compiled
+from swarm.jit import inner
 from swarm.signatures import Floats1, Floats3, contiguous
 
 Floats = npt.NDArray[np.float64]
@@ -103,7 +103,7 @@ class Part(NamedTuple):
     high: float
 
 
-@compiled
+@inner
 def counted(part: Part) -> tuple[float, float]:
     """Return the interval of fractions that counts; its end is not above its begin if none does."""
     return (
@@ -182,7 +182,7 @@ class Movement(NamedTuple):
     tracking: float
 
 
-@compiled
+@inner
 def strand_between(cable: CableTables, segment: int, start: Vector, end: Vector) -> Strand:
     """Return the strand of a segment between two points.
 
@@ -200,7 +200,7 @@ def strand_between(cable: CableTables, segment: int, start: Vector, end: Vector)
     return Strand(start, heading, catenary, arc_start(slope))
 
 
-@compiled
+@inner
 def strand_point(strand: Strand, down: Vector, fraction: float) -> Vector:
     """Return the point of a strand at a fraction of its arc."""
     catenary, heading = strand.catenary, strand.heading
@@ -212,7 +212,7 @@ def strand_point(strand: Strand, down: Vector, fraction: float) -> Vector:
     return moved(moved(strand.start, angle, ahead), height, up)
 
 
-@compiled
+@inner
 def held_piece(
     cable: CableTables,
     segment: int,
@@ -240,13 +240,13 @@ def held_piece(
     )
 
 
-@compiled
+@inner
 def drift(grip: Grip, half: float, frame: Vector) -> float:
     """Bound the movement of a grip point within ``half`` seconds, in a frame with a velocity."""
     return size(difference(grip.velocity, frame)) * half + grip.deviation
 
 
-@compiled
+@inner
 def _end_motion(
     grips: tuple[Grip, Grip], half: float, displacement: Displacement, ball: float
 ) -> _EndMotion:
@@ -263,7 +263,7 @@ def _end_motion(
     return _EndMotion(ends, total, displacement.tracking, relative + ball, ball)
 
 
-@compiled
+@inner
 def piece_movement(cable: CableTables, piece: Piece, normal: Vector, along: float) -> Movement:
     """Return bounds of the movement of a piece along a unit vector.
 

@@ -27,7 +27,7 @@ from swarm.certification.strand_pieces import (
 from swarm.geometry.distance import segment_distance
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
 from swarm.geometry.vectors import Vector, difference, dot, moved, unit
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats3, Ints2, contiguous
 
 Floats = npt.NDArray[np.float64]
@@ -93,7 +93,7 @@ def _write_margins(
         _write_margin(cable, (one, other), required, chords, b, found)
 
 
-@compiled
+@inner
 def _displacement(
     tracking: float, grips: tuple[Grip, Grip], others: tuple[Grip, Grip], ends: int
 ) -> Displacement:
@@ -108,7 +108,7 @@ def _displacement(
     return Displacement(shared.velocity, ends, 2.0 * tracking, shared.deviation)
 
 
-@compiled
+@inner
 def _mean_velocity(grips: tuple[Grip, Grip], others: tuple[Grip, Grip]) -> Vector:
     """Return the mean of four velocities."""
     u, v = grips[0].velocity, grips[1].velocity
@@ -120,7 +120,7 @@ def _mean_velocity(grips: tuple[Grip, Grip], others: tuple[Grip, Grip]) -> Vecto
     )
 
 
-@compiled
+@inner
 def _write_margin(
     cable: CableTables,
     pieces: tuple[Piece, Piece],

@@ -21,7 +21,7 @@ from swarm.geometry.sensitivity import (
     chord_response,
     error_of_ends,
 )
-from swarm.jit import compiled
+from swarm.jit import inner
 from swarm.signatures import Bools1, Floats1, Floats3
 
 Floats = npt.NDArray[np.float64]
@@ -67,7 +67,7 @@ def allocate_strands(strands: int) -> SampledStrands:
     return SampledStrands(points, np.empty(strands), np.zeros(strands, dtype=np.bool_))
 
 
-@compiled
+@inner
 def vehicle_margins(
     case: int, half: float, team: TeamState, required: Required
 ) -> tuple[float, float]:
@@ -90,7 +90,7 @@ def vehicle_margins(
     return float(low), float(here)
 
 
-@compiled
+@inner
 def strand_margins(
     case: int, half: float, team: TeamState, required: Required, strands: SampledStrands
 ) -> tuple[float, float]:
@@ -113,7 +113,7 @@ def strand_margins(
     return low, here
 
 
-@compiled
+@inner
 def _strand_margin(
     pair: tuple[int, int],
     moved: tuple[float, float],
@@ -140,7 +140,7 @@ def _strand_margin(
     return least - off, most
 
 
-@compiled
+@inner
 def _deviation(
     i: int, moved: float, position: Floats, required: Required, strands: SampledStrands
 ) -> float:
@@ -160,7 +160,7 @@ def _deviation(
     return float(strands.bow[i] + np.sqrt(level * level + upright * upright) * moved)
 
 
-@compiled
+@inner
 def _sample(start: Floats, end: Floats, length: float, points: Floats) -> float:
     """Write a strand's points (k, 3) and return its largest distance from the lines between."""
     sample_strand(start, end, length, points)
@@ -173,7 +173,7 @@ def _sample(start: Floats, end: Floats, length: float, points: Floats) -> float:
     return 0.5 * float(np.sqrt(max(arc * arc - shortest, 0.0)))
 
 
-@compiled
+@inner
 def _end_movements(i: int, j: int, team: TeamState, half: float) -> tuple[float, float]:
     """Largest movements of the ends of two strands, without their common movement."""
     velocity = team.velocity
@@ -188,7 +188,7 @@ def _end_movements(i: int, j: int, team: TeamState, half: float) -> tuple[float,
     )
 
 
-@compiled
+@inner
 def _end_movement(
     k: int, common: tuple[float, float, float], team: TeamState, half: float
 ) -> float:

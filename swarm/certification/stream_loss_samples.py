@@ -20,7 +20,7 @@ from swarm.certification.team_strands import (
     place,
 )
 from swarm.geometry.distance import point_distance
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, Floats4, Ints1
 
 Floats = npt.NDArray[np.float64]
@@ -98,7 +98,7 @@ def write_margins(
                     margins[k], vehicles[k] = margin, vehicle + 1
 
 
-@compiled
+@inner
 def _team_margin(k: int, losses: Losses, needed: Needed, memory: Memory) -> float:
     """Return the smallest margin after a loss of all setpoints at moment k."""
     position, moved, required = losses.position[k], losses.moved[k], needed.required
@@ -123,7 +123,7 @@ def _team_margin(k: int, losses: Losses, needed: Needed, memory: Memory) -> floa
     return smallest
 
 
-@compiled
+@inner
 def _vehicle_margin(
     which: tuple[int, int, int], apart: float, losses: Losses, needed: Needed, memory: Memory
 ) -> float:
@@ -157,7 +157,7 @@ def _vehicle_margin(
     return margin
 
 
-@compiled
+@inner
 def _measure(grips: Floats, needed: Needed, memory: Memory) -> float:
     """Write the margins of a team at grip points (n, 3); return the distance of its strands.
 
@@ -170,7 +170,7 @@ def _measure(grips: Floats, needed: Needed, memory: Memory) -> float:
     return middles - needed.diameter
 
 
-@compiled
+@inner
 def _measure_vehicles(grips: Floats, required: RequiredNow, memory: Memory) -> None:
     """Write the margins between vehicles, and those of chords, at grip points (n, 3)."""
     for i in range(len(grips)):
@@ -182,7 +182,7 @@ def _measure_vehicles(grips: Floats, required: RequiredNow, memory: Memory) -> N
         memory.chords[i] = _slack(grips, i, required)
 
 
-@compiled
+@inner
 def _least(memory: Memory, without: int) -> float:
     """Return the smallest written margin of vehicles and chords, without those of one vehicle."""
     least = np.inf
@@ -197,7 +197,7 @@ def _least(memory: Memory, without: int) -> float:
     return float(least)
 
 
-@compiled
+@inner
 def _apart(grips: Floats, i: int, j: int, required: RequiredNow) -> float:
     """Return the margin between two vehicles, horizontal or vertical."""
     across = math.hypot(grips[i, 0] - grips[j, 0], grips[i, 1] - grips[j, 1])
@@ -205,7 +205,7 @@ def _apart(grips: Floats, i: int, j: int, required: RequiredNow) -> float:
     return float(max(across, abs(grips[i, 2] - grips[j, 2]) - required.vertical))
 
 
-@compiled
+@inner
 def _slack(grips: Floats, segment: int, required: RequiredNow) -> float:
     """Return the margin of a chord."""
     chord = point_distance(grips[segment], grips[segment + 1])

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from swarm.certification.motion_bounds import largest_between, pieces_between
 from swarm.geometry.motion import evaluate_piece, find_piece
-from swarm.jit import compiled
+from swarm.jit import inner
 from swarm.signatures import Floats1, Floats2, Floats3, Floats4
 
 Floats = npt.NDArray[np.float64]
@@ -73,7 +73,7 @@ def allocate_team(n: int) -> TeamState:
     return TeamState(np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty((3, 3)))
 
 
-@compiled
+@inner
 def write_state(box: Box, motion: LossMotion, team: TeamState, doubts: Floats) -> bool:
     """Write the team's state, and whether a vehicle may be outside the tracking radius.
 
@@ -117,7 +117,7 @@ def write_state(box: Box, motion: LossMotion, team: TeamState, doubts: Floats) -
     return True
 
 
-@compiled
+@inner
 def _coast(box: Box, i: int, motion: LossMotion, team: TeamState, doubts: Floats) -> float:
     """Move vehicle i from its planned position to where it coasts.
 
@@ -155,6 +155,6 @@ def _coast(box: Box, i: int, motion: LossMotion, team: TeamState, doubts: Floats
     return float(off)
 
 
-@compiled
+@inner
 def _norm(vector: Floats) -> float:
     return float(np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2))

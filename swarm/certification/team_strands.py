@@ -12,7 +12,7 @@ import numpy.typing as npt
 from swarm.certification.monitor import FAR, RequiredNow, least_between, sampled_distance
 from swarm.geometry.catenary_kernel import max_drop_below_ends
 from swarm.geometry.distance import point_distance
-from swarm.jit import compiled
+from swarm.jit import inner
 from swarm.signatures import Bools1, Floats1, Floats2, Floats3
 
 Floats = npt.NDArray[np.float64]
@@ -45,7 +45,7 @@ def allocate_strands(points: Floats) -> TeamStrands:
     return TeamStrands(boxes, np.empty(6), bound, distance, least, points, sampled)
 
 
-@compiled
+@inner
 def place(grips: Floats, required: RequiredNow, strands: TeamStrands) -> bool:
     """Take the strands between grip points (n, 3); return whether all chords are shorter."""
     count = len(strands.least)
@@ -67,14 +67,14 @@ def place(grips: Floats, required: RequiredNow, strands: TeamStrands) -> bool:
     return True
 
 
-@compiled
+@inner
 def _forget_points(strands: TeamStrands, first: int, last: int) -> None:
     """Mark that strands have no points yet; in a loop, which takes less to compile than a slice."""
     for i in range(first, last):
         strands.sampled[i] = False
 
 
-@compiled
+@inner
 def nearest(
     grips: Floats, without: int, required: RequiredNow, strands: TeamStrands, below: float
 ) -> float:
@@ -95,7 +95,7 @@ def nearest(
     return below
 
 
-@compiled
+@inner
 def nearest_of(
     grips: Floats, vehicle: int, required: RequiredNow, strands: TeamStrands, below: float
 ) -> float:
@@ -122,7 +122,7 @@ def nearest_of(
     return below
 
 
-@compiled
+@inner
 def _write_box(grips: Floats, i: int, required: RequiredNow, box: Floats) -> None:
     """Write the axis-aligned box (6,) that contains strand i."""
     for axis in range(3):
@@ -131,7 +131,7 @@ def _write_box(grips: Floats, i: int, required: RequiredNow, box: Floats) -> Non
     box[2] -= max_drop_below_ends(grips[i], grips[i + 1], required.lengths[i], 0.0)
 
 
-@compiled
+@inner
 def _box_distance(one: Floats, other: Floats) -> float:
     """Return the distance of two boxes (6,)."""
     square = 0.0

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.jit import compiled
+from swarm.jit import inner
 from swarm.signatures import Floats3, Floats4
 
 Floats = npt.NDArray[np.float64]
@@ -102,7 +102,7 @@ class Radii(NamedTuple):
     least: float
 
 
-@compiled
+@inner
 def radii_over(tube: TubeTables, segment: int, number: int, interval: tuple[float, float]) -> Radii:
     """Return bounds of the radii of a piece with a heap number, in an interval of time.
 
@@ -125,7 +125,7 @@ def radii_over(tube: TubeTables, segment: int, number: int, interval: tuple[floa
     return Radii(most, tube.pieces[middle, segment, number], tube.least[middle, segment, number])
 
 
-@compiled
+@inner
 def _bin(tube: TubeTables, time: float) -> int:
     """Return the interval of the tube in which a time lies; the nearest one outside of all."""
     return min(max(int(np.floor((time - tube.start) / BIN)), 0), len(tube.pieces) - 1)

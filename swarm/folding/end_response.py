@@ -22,7 +22,7 @@ from swarm.geometry.sensitivity import (
     error_of_ends,
     finest_piece,
 )
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats3
 
 Floats = npt.NDArray[np.float64]
@@ -48,7 +48,7 @@ def write_largest_responses(
             write_largest_response(shapes[s, i], tracking, tables, found[s, i])
 
 
-@compiled
+@inner
 def write_largest_response(
     shape: Floats, tracking: float, tables: Sensitivity, found: Floats
 ) -> None:
@@ -58,13 +58,13 @@ def write_largest_response(
         found[k] = largest_response(shape, 1, moved[k], tables)
 
 
-@compiled
+@inner
 def catenary_of(shape: Floats) -> Catenary:
     """Return the catenary with fields (5,)."""
     return Catenary(shape[0], shape[1], shape[2], shape[3], shape[4])
 
 
-@compiled
+@inner
 def arc_fraction(shape: Floats, share: float) -> float:
     """Return the fraction of the arc of a strand up to a share of its span."""
     strand = catenary_of(shape)
@@ -73,7 +73,7 @@ def arc_fraction(shape: Floats, share: float) -> float:
     return float(min(max(fraction, 0.0), 1.0))
 
 
-@compiled
+@inner
 def largest_response(shape: Floats, piece: int, moved: EndMovement, tables: Sensitivity) -> float:
     """Return the largest movement of a piece of a strand, in any direction, per metre of its ends.
 
@@ -84,7 +84,7 @@ def largest_response(shape: Floats, piece: int, moved: EndMovement, tables: Sens
     return float(np.sqrt(level * level + rising * rising))
 
 
-@compiled
+@inner
 def point_movement(
     shape: Floats, fraction: float, upright: float, moved: EndMovement, tables: Sensitivity
 ) -> float:
@@ -100,7 +100,7 @@ def point_movement(
     return float((across * level + upright * rising) * moved.size)
 
 
-@compiled
+@inner
 def add_to_ends(
     gradient: Floats,
     segment: int,
@@ -131,14 +131,14 @@ def add_to_ends(
     gradient[segment + 1, 2] += rising
 
 
-@compiled
+@inner
 def _in_plane(points: Floats, vector: Floats) -> tuple[float, float]:
     """Return the parts of a vector (3,) along the heading of an outline and upward."""
     level = (points[-1, 0] - points[0, 0]) * vector[0] + (points[-1, 1] - points[0, 1]) * vector[1]
     return level / _span(points), vector[2]
 
 
-@compiled
+@inner
 def _span(points: Floats) -> float:
     """Return the span of an outline, metres."""
     x, y = points[-1, 0] - points[0, 0], points[-1, 1] - points[0, 1]

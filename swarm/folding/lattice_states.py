@@ -18,7 +18,7 @@ from swarm.geometry.catenary_kernel import Catenary, solve_catenary, strand_poly
 from swarm.geometry.catenary_shape import drop_at
 from swarm.geometry.distance import point_distance
 from swarm.geometry.sensitivity import BOTH_ENDS, FINEST, chord_response, error_of_ends
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Ints1, Signs1, Signs2
 
 Floats = npt.NDArray[np.float64]
@@ -147,7 +147,7 @@ def fill_costs(
             cost[a, b] = min(total, 0.1 * BLOCKED)
 
 
-@compiled
+@inner
 def _own_cost(
     rear: Floats, front: Floats, extent: _Extent, margins: Margins, points: Floats
 ) -> float:
@@ -166,7 +166,7 @@ def _own_cost(
     return cost
 
 
-@compiled
+@inner
 def _surface_cost(
     rear: Floats,
     front: Floats,
@@ -229,7 +229,7 @@ def _surface_cost(
     return cost
 
 
-@compiled
+@inner
 def _side(edge: int, behind: int, ahead: int, surfaces: Surfaces) -> int:
     """Return the side on which a segment passes an edge's surface: 1 over, −1 under."""
     side = surfaces.side[ahead, edge] if ahead >= 0 else 0
@@ -238,7 +238,7 @@ def _side(edge: int, behind: int, ahead: int, surfaces: Surfaces) -> int:
     return side if side != 0 else surfaces.above[edge]
 
 
-@compiled
+@inner
 def _surface_height(
     edge: int, fraction: float, side: int, span: float, surfaces: Surfaces
 ) -> float:
@@ -252,7 +252,7 @@ def _surface_height(
     return float(surfaces.corners[edge, 2] - drop + side * gap)
 
 
-@compiled
+@inner
 def _interpolate(at: float, places: Floats, values: Floats) -> float:
     """Return the linear interpolation of values at increasing places (k,), constant outside.
 
@@ -267,7 +267,7 @@ def _interpolate(at: float, places: Floats, values: Floats) -> float:
     return float(values[-1])
 
 
-@compiled
+@inner
 def _corner_cost(
     rear: Floats, front: Floats, edges: tuple[int, int, int], corners: Floats, margins: Margins
 ) -> float:

@@ -15,7 +15,7 @@ from swarm.folding.outlines import PIECES, direction_between, point_at
 from swarm.folding.strand_clearance import preferred_distance
 from swarm.geometry.distance import point_distance, polyline_distance_sized
 from swarm.geometry.sensitivity import FAR_END, FINEST, NEAR_END, error_of_ends, finest_piece
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats4
 
 Floats = npt.NDArray[np.float64]
@@ -99,7 +99,7 @@ def penalize_neighbours(
             cache.spare[s, i] = penalize_junction(chain, junction, model, moment)
 
 
-@compiled
+@inner
 def penalize_junction(
     chain: Chain, junction: Junction, model: PenaltyModel, moment: Penalty
 ) -> float:
@@ -141,13 +141,13 @@ def penalize_junction(
     return spare
 
 
-@compiled
+@inner
 def _free_share(shape: Floats, exempt: float) -> float:
     """Return the free part of a strand as a share of its length."""
     return float(max(_LEAST_FREE, 1.0 - exempt / shape[0]))
 
 
-@compiled
+@inner
 def _movement(before: Floats, after: Floats, response: float, response_after: float) -> float:
     """Return by how much the distance of two strands changes per metre of their ends, at most.
 
@@ -159,7 +159,7 @@ def _movement(before: Floats, after: Floats, response: float, response_after: fl
     return float(max(response_after, longer) + max(response, 1.0 / max(longer, 1e-9)))
 
 
-@compiled
+@inner
 def _is_cached(
     before: Floats, after: Floats, movement: float, spare: float, positions: Floats
 ) -> bool:
@@ -181,7 +181,7 @@ def _is_cached(
     return False
 
 
-@compiled
+@inner
 def _least_sine(before: Floats, after: Floats) -> float:
     """Return the sine of the angle between two strands in plan view, or 1 where it is not acute.
 
@@ -196,7 +196,7 @@ def _least_sine(before: Floats, after: Floats) -> float:
     return float(abs(back_x * ahead_y - back_y * ahead_x) / sizes)
 
 
-@compiled
+@inner
 def _level_distance(points: Floats, place: float, at: Floats) -> float:
     """Return the distance in plan view from a place on an outline to a point."""
     piece = min(int(place), len(points) - 2)
@@ -206,7 +206,7 @@ def _level_distance(points: Floats, place: float, at: Floats) -> float:
     return float(np.sqrt(x * x + y * y))
 
 
-@compiled
+@inner
 def _penalize_free_part(
     chain: Chain, junction: Junction, free: _FreePart, model: PenaltyModel, moment: Penalty
 ) -> float:
@@ -259,7 +259,7 @@ def _penalize_free_part(
     return left
 
 
-@compiled
+@inner
 def _close_points(points: Floats, reach: float, sine: float, outward: bool) -> tuple[int, int]:
     """Return the range of points of an outline that may be within ``reach`` of the neighbour.
 
@@ -274,13 +274,13 @@ def _close_points(points: Floats, reach: float, sine: float, outward: bool) -> t
     return (0, count + 1) if outward else (PIECES - count, PIECES + 1)
 
 
-@compiled
+@inner
 def _in_free_part(place: float, limit: float, first: bool) -> float:
     """Return the place in the free part that is closest to a place; ``first`` ends at ``limit``."""
     return min(place, limit) if first else max(place, limit)
 
 
-@compiled
+@inner
 def _place_at(sizes: Floats, share: float) -> float:
     """Return the place on a polyline with edges of lengths (k,) after a share of its length."""
     left = share * sizes.sum()

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.catenary_kernel import strand_polygon
 from swarm.geometry.distance import bounding_boxes, point_distance
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, Floats4, record
 
 Floats = npt.NDArray[np.float64]
@@ -75,7 +75,7 @@ def _write_outlines(
         write_outline(start[q], end[q], length[q], points[q], shapes[q])
 
 
-@compiled
+@inner
 def write_outline(start: Floats, end: Floats, length: float, points: Floats, shape: Floats) -> None:
     """Write the outline (k, 3) and the catenary (5,) of a strand."""
     chord = point_distance(start, end)
@@ -84,7 +84,7 @@ def write_outline(start: Floats, end: Floats, length: float, points: Floats, sha
         shape[k] = strand[k]
 
 
-@compiled
+@inner
 def reachable_length(length: float, chord: float) -> float:
     """Return the length, or that with which a chord has the largest ratio in the air."""
     return max(length, chord / MAX_CHORD_RATIO + _NO_CHORD)
@@ -97,7 +97,7 @@ def crossing_heights(one: Floats3, other: Floats3, found: Floats1) -> None:
         found[q] = crossing_height(one[q], other[q])
 
 
-@compiled
+@inner
 def crossing_height(one: Floats, other: Floats) -> float:
     """Return the height of a strand over another where they cross in plan view, else 0."""
     here, there = plan_crossing(one, other)
@@ -129,7 +129,7 @@ def height_at_span(points: Floats2, share: float) -> float:
     return float(points[piece, 2] + (place - piece) * (points[piece + 1, 2] - points[piece, 2]))
 
 
-@compiled
+@inner
 def point_at(points: Floats, place: float, found: Floats) -> None:
     """Write the point (3,) of an outline at a place."""
     piece = min(int(place), len(points) - 2)
@@ -138,7 +138,7 @@ def point_at(points: Floats, place: float, found: Floats) -> None:
         found[axis] = (1.0 - share) * points[piece, axis] + share * points[piece + 1, axis]
 
 
-@compiled
+@inner
 def direction_between(
     one: Floats, here: float, other: Floats, there: float, distance: float, found: Floats
 ) -> None:

@@ -13,7 +13,7 @@ from swarm.folding.margins import Margins, PenaltyModel
 from swarm.folding.outlines import Outlines
 from swarm.folding.strand_clearance import spare_margins
 from swarm.geometry.sensitivity import sensitivity_tables
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 
 Floats = npt.NDArray[np.float64]
 Numbers = TypeVar("Numbers", float, Floats)
@@ -45,7 +45,7 @@ margin_cost = compiled(margin_costs)
 """As :func:`margin_costs`, compiled for one margin."""
 
 
-@compiled
+@inner
 def vehicle_cost(one: Floats, other: Floats, margins: Margins) -> float:
     """Return the cost of the distance of two vehicles at positions (3,)."""
     error = 2.0 * margins.tracking

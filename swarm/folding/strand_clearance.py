@@ -20,7 +20,7 @@ from swarm.folding.outlines import (
 )
 from swarm.geometry.distance import boxes_closer, polyline_distance
 from swarm.geometry.sensitivity import BOTH_ENDS, error_of_ends
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Signs2
 
 Floats = npt.NDArray[np.float64]
@@ -69,13 +69,13 @@ def penalize_strands(
                     penalty.missed[s] += penalize_pair(points, shapes, pair, model, gradient)
 
 
-@compiled
+@inner
 def preferred_distance(margins: Margins) -> float:
     """Return the distance that two strands should have at their places, without errors."""
     return margins.cable + PREFERRED * (margins.cable + 2.0 * margins.tracking)
 
 
-@compiled
+@inner
 def penalize_pair(
     points: Floats, shapes: Floats, pair: StrandPair, model: PenaltyModel, gradient: Floats
 ) -> float:

@@ -15,7 +15,7 @@ from swarm.folding.outlines import PIECES, height_at_span
 from swarm.folding.strand_clearance import PREFERRED
 from swarm.geometry.distance import boxes_closer
 from swarm.geometry.sensitivity import BOTH_ENDS, error_of_ends
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, Signs3
 
 Floats = npt.NDArray[np.float64]
@@ -79,14 +79,14 @@ def penalize_strands_at_vehicles(
                     )  # fmt: skip
 
 
-@compiled
+@inner
 def preferred_meeting(margins: Margins) -> float:
     """Return the distance that a vehicle should have from a strand that does not move."""
     unit = margins.vehicle_cable + 2.0 * margins.tracking
     return margins.vehicle_cable + PREFERRED * unit + margins.tracking
 
 
-@compiled
+@inner
 def write_body(position: Floats, margins: Margins, body: Floats) -> None:
     """Write the box (1, 2, 3) around a vehicle's rotor disc and grip: middle and half size."""
     for x in range(3):
@@ -96,7 +96,7 @@ def write_body(position: Floats, margins: Margins, body: Floats) -> None:
     body[0, 1, 2] = 0.5 * margins.grip_offset
 
 
-@compiled
+@inner
 def penalize_meeting(
     position: Floats,
     strand: Floats,
@@ -142,7 +142,7 @@ def penalize_meeting(
     return short * short
 
 
-@compiled
+@inner
 def _write_offset(strand: Floats, place: float, position: Floats, found: Floats) -> None:
     """Write the vector (3,) from a vehicle's position to a place on an outline."""
     piece = min(int(place), len(strand) - 2)
@@ -152,7 +152,7 @@ def _write_offset(strand: Floats, place: float, position: Floats, found: Floats)
         found[axis] = on - position[axis]
 
 
-@compiled
+@inner
 def _nearest(begin: Floats, end: Floats, position: Floats, higher: float) -> float:
     """Return the share of an edge that is nearest to a point ``higher`` above a position."""
     x, y, z = end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]
@@ -161,7 +161,7 @@ def _nearest(begin: Floats, end: Floats, position: Floats, higher: float) -> flo
     return float(min(max(along / max(x * x + y * y + z * z, 1e-18), 0.0), 1.0))
 
 
-@compiled
+@inner
 def _nearest_span(strand: Floats, position: Floats) -> float:
     """Return the share of a strand's span that is nearest to a position in plan view."""
     x, y = strand[-1, 0] - strand[0, 0], strand[-1, 1] - strand[0, 1]
@@ -169,7 +169,7 @@ def _nearest_span(strand: Floats, position: Floats) -> float:
     return float(min(max(along / max(x * x + y * y, 1e-18), 0.0), 1.0))
 
 
-@compiled
+@inner
 def _write_cone_derivative(apart: Floats, margins: Margins, found: Floats) -> None:
     """Write the derivative (3,) of the distance from a cone by the position of the cone."""
     distance = rotor_cone_distance(np.sqrt(apart[0] ** 2 + apart[1] ** 2), apart[2], margins)
@@ -180,7 +180,7 @@ def _write_cone_derivative(apart: Floats, margins: Margins, found: Floats) -> No
         found[axis] = (moved - distance) / _STEP
 
 
-@compiled
+@inner
 def rotor_cone_distance(level: float, above: float, margins: Margins) -> float:
     """Return the distance of a point from the cone of a vehicle: rotor disc, and tip at the grip.
 
@@ -226,7 +226,7 @@ def penalize_vehicles(
                     gradient[j, 2] -= push
 
 
-@compiled
+@inner
 def missed_by_pair(one: Floats, other: Floats, margins: Margins) -> float:
     """Return what :func:`penalize_vehicles` and :func:`penalize_downwash` add for two vehicles."""
     beside, under = _required(margins, 0.0)
@@ -238,20 +238,20 @@ def missed_by_pair(one: Floats, other: Floats, margins: Margins) -> float:
     return float(short * short + wash * wash)
 
 
-@compiled
+@inner
 def _required(margins: Margins, extra: float) -> tuple[float, float]:
     """Return the distances of two vehicles that are required, beside and below each other."""
     beside = margins.vehicle + 2.0 * margins.tracking + extra
     return beside, margins.downwash + 2.0 * margins.tracking + extra
 
 
-@compiled
+@inner
 def _short_of(apart: float) -> float:
     """Return the missed margin of vehicles, for their distance over the required one."""
     return _VEHICLE_WEIGHT * (1.0 + _VEHICLES_APART - apart)
 
 
-@compiled
+@inner
 def _jet(rise: float, margins: Margins) -> float:
     """Return the distance from a jet's axis that vehicles avoid, ``rise`` metres below."""
     return _JETS * (0.7 * margins.radius + 0.1 * rise)
@@ -288,7 +288,7 @@ def penalize_downwash(
                 gradient[j, 1] -= push * y
 
 
-@compiled
+@inner
 def rotor_disc_cost(position: Floats, strand: Floats, wider: float, margins: Margins) -> float:
     """Return the cost of a vehicle's own strand in its rotor disc, made ``wider`` by metres."""
     lowest = margins.grip_offset - DISC_ERRORS * margins.tracking

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarm.geometry.catenary_shape import solve_half_angle
-from swarm.jit import compiled
+from swarm.jit import inner
 
 Floats = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class Catenary(NamedTuple):
     rise: float
 
 
-@compiled
+@inner
 def solve(span: float, rise: float, length: float, smallest: float) -> tuple[float, float, float]:
     """Return half angle x, parameter a and start slope of the catenary of a strand.
 
@@ -61,7 +61,7 @@ def solve(span: float, rise: float, length: float, smallest: float) -> tuple[flo
     return x, span / (2.0 * x), slope
 
 
-@compiled
+@inner
 def solve_catenary(start: Floats, end: Floats, length: float, smallest: float) -> Catenary:
     """Return the catenary between two points (3,), which are at most ``length`` apart.
 
@@ -73,7 +73,7 @@ def solve_catenary(start: Floats, end: Floats, length: float, smallest: float) -
     return Catenary(length, parameter, slope, span, rise)
 
 
-@compiled
+@inner
 def arc_offset(
     fraction: float, length: float, parameter: float, first: float
 ) -> tuple[float, float]:
@@ -84,14 +84,14 @@ def arc_offset(
     return offset_from(arc_start(first), fraction, length / parameter)
 
 
-@compiled
+@inner
 def arc_start(first: float) -> tuple[float, float, float]:
     """Return the slope ``first`` at the start, √(1 + slope²), and arsinh of the slope."""
     cosh = np.sqrt(1.0 + first * first)
     return first, cosh, np.copysign(np.log(abs(first) + cosh), first)
 
 
-@compiled
+@inner
 def offset_from(
     start: tuple[float, float, float], fraction: float, turning: float
 ) -> tuple[float, float]:
@@ -114,7 +114,7 @@ def offset_from(
     return angle, fraction * ((slope + first) / total)
 
 
-@compiled
+@inner
 def sample_strand(start: Floats, end: Floats, length: float, points: Floats) -> None:
     """Write points (k, 3) of a strand at equal distances along its arc, both ends included."""
     strand = solve_catenary(start, end, length, _SMALLEST_HALF_ANGLE)
@@ -128,7 +128,7 @@ def sample_strand(start: Floats, end: Floats, length: float, points: Floats) -> 
         points[k, 2] = start[2] + length * height
 
 
-@compiled
+@inner
 def strand_polygon(start: Floats, end: Floats, length: float, points: Floats) -> Catenary:
     """Write corners (k, 3) of a polygon along a strand, at equal distances in plan view.
 
@@ -158,7 +158,7 @@ def strand_polygon(start: Floats, end: Floats, length: float, points: Floats) ->
     return strand
 
 
-@compiled
+@inner
 def max_drop_below_ends(start: Floats, end: Floats, length: float, moved: float) -> float:
     """Return an upper bound of how far a strand is below its lower end.
 
@@ -171,7 +171,7 @@ def max_drop_below_ends(start: Floats, end: Floats, length: float, moved: float)
     return max(0.5 * (math.sqrt(max(length**2 - span**2, 0.0)) - rise), 0.0)
 
 
-@compiled
+@inner
 def max_depth(ends: tuple[Floats, Floats], down: Floats, length: float, moved: float) -> float:
     """Return an upper bound of how far a strand is below its chord along ``down`` (3,).
 
@@ -192,7 +192,7 @@ def max_depth(ends: tuple[Floats, Floats], down: Floats, length: float, moved: f
     return below + rise + 2.0 * moved
 
 
-@compiled
+@inner
 def max_elevation_sine(rise: float, span: float, reach: float) -> float:
     """Return the sine of the largest elevation of a chord whose ends move by ``reach``, in metres.
 
@@ -205,7 +205,7 @@ def max_elevation_sine(rise: float, span: float, reach: float) -> float:
     return (abs(rise) * math.sqrt(square - reach * reach) + span * reach) / square
 
 
-@compiled
+@inner
 def min_elevation_sine(rise: float, span: float, reach: float) -> float:
     """Return the sine of the smallest elevation; see :func:`max_elevation_sine`."""
     square = rise * rise + span * span
@@ -214,7 +214,7 @@ def min_elevation_sine(rise: float, span: float, reach: float) -> float:
     return (abs(rise) * math.sqrt(square - reach * reach) - span * reach) / square
 
 
-@compiled
+@inner
 def end_forces(
     start: Floats, end: Floats, length: float, weight: float, on_start: Floats, on_end: Floats
 ) -> None:
@@ -238,7 +238,7 @@ def end_forces(
     on_start[2], on_end[2] = weight * up, weight * down
 
 
-@compiled
+@inner
 def solve_on_floor(first: float, last: float, surplus: float) -> tuple[float, float, float]:
     """Return the parameter and the two lifted lengths of a strand that partly lies on the floor.
 
@@ -265,7 +265,7 @@ def solve_on_floor(first: float, last: float, surplus: float) -> tuple[float, fl
     return a, math.sqrt(first * (first + 2.0 * a)), math.sqrt(last * (last + 2.0 * a))
 
 
-@compiled
+@inner
 def _branch_surplus(height: float, a: float) -> tuple[float, float]:
     """Return arc − reach of a branch, and its derivative by a."""
     arc = math.sqrt(height * (height + 2.0 * a))

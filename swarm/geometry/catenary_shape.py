@@ -8,7 +8,7 @@ numbers.
 import numpy as np
 from numpy.typing import NDArray
 
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1
 
 Floats = NDArray[np.float64]
@@ -34,7 +34,7 @@ _REVERTED = np.array(
 """x² as a power series in log(sinh(x) / x), from the first power up; by reversion."""
 
 
-@compiled
+@inner
 def solve_half_angle(stretch: float) -> float:
     """Return x ≥ 0 with log(sinh(x) / x) = stretch.
 
@@ -145,7 +145,7 @@ def _bisect(drop: Floats1, fraction: Floats1, gradient: Floats1, found: Floats1)
         found[k] = np.exp(0.5 * (low + high))
 
 
-@compiled
+@inner
 def drop_at(x: float, fraction: float, gradient: float) -> float:
     """Return the distance below the chord at a fraction of the span, over the span.
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats2, Floats3, Floats4, Ints2, contiguous
 
 Floats = NDArray[np.float64]
@@ -107,7 +107,7 @@ def _write_chosen(strands: Floats4, pairs: Ints2, found: Floats3) -> None:
             found[0, q, p], found[1, q, p], found[2, q, p] = pair
 
 
-@compiled
+@inner
 def polyline_distance(first: Floats, second: Floats, limit: float) -> tuple[float, float, float]:
     """Return the distance of polylines (m, 3) and (k, 3), and the closest places on each.
 
@@ -120,7 +120,7 @@ def polyline_distance(first: Floats, second: Floats, limit: float) -> tuple[floa
     return polyline_distance_sized(first, second, sizes, limit)
 
 
-@compiled
+@inner
 def polyline_distance_sized(
     first: Floats, second: Floats, sizes: Floats, limit: float
 ) -> tuple[float, float, float]:
@@ -147,7 +147,7 @@ def polyline_distance_sized(
     return best, here, there
 
 
-@compiled
+@inner
 def _piece_length(points: Floats, i: int) -> float:
     """Return the length of a piece of a polyline."""
     x, y = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
@@ -155,7 +155,7 @@ def _piece_length(points: Floats, i: int) -> float:
     return float(np.sqrt(x * x + y * y + z * z))
 
 
-@compiled
+@inner
 def segment_distance(first: Floats, i: int, second: Floats, j: int) -> tuple[float, float, float]:
     """Return the squared distance of two pieces of polylines, and the closest fractions of both.
 
@@ -178,7 +178,7 @@ def segment_distance(first: Floats, i: int, second: Floats, j: int) -> tuple[flo
     return square, s, t
 
 
-@compiled
+@inner
 def _part(above: float, below: float) -> float:
     """Return a quotient clamped to 0…1, and 0 where the divisor is not positive."""
     if not below > 0.0:
@@ -186,7 +186,7 @@ def _part(above: float, below: float) -> float:
     return min(max(above / below, 0.0), 1.0)
 
 
-@compiled
+@inner
 def point_distance(one: Floats, other: Floats) -> float:
     """Return the distance of two points (3,)."""
     x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
@@ -204,7 +204,7 @@ def bounding_boxes(points: Floats3, boxes: Floats3) -> None:
             boxes[q, 0, axis], boxes[q, 1, axis] = 0.5 * (low + high), 0.5 * (high - low)
 
 
-@compiled
+@inner
 def boxes_closer(one: Floats, i: int, other: Floats, j: int, limit: float) -> bool:
     """Return whether the gap of box ``i`` and box ``j`` is below ``limit`` along every axis.
 

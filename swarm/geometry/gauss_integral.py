@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from swarm.jit import compiled
+from swarm.jit import inner
 
 Floats = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -12,7 +12,7 @@ _NO_AREA = 1e-12
 """Square metres of a triangle below which an edge sees the other end on: its integral is 0."""
 
 
-@compiled
+@inner
 def gauss_integral(one: Floats, other: Floats) -> float:
     """Return the Gauss integral of polylines (k, 3) and (m, 3), over 4π.
 
@@ -27,7 +27,7 @@ def gauss_integral(one: Floats, other: Floats) -> float:
     return total / (4.0 * np.pi)
 
 
-@compiled
+@inner
 def _edge_integral(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
     """Return the integral of edges ab and cd: the area of directions in which they cross."""
     ac = (c[0] - a[0], c[1] - a[1], c[2] - a[2])
@@ -45,19 +45,19 @@ def _edge_integral(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
     return float(area * np.sign(_dot(_cross(other, along), ac)))
 
 
-@compiled
+@inner
 def _cross(u: Vector, v: Vector) -> Vector:
     """Return the cross product."""
     return (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
 
 
-@compiled
+@inner
 def _dot(u: Vector, v: Vector) -> float:
     """Return the inner product."""
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 
 
-@compiled
+@inner
 def _arc(product: float, squares: float) -> float:
     """Return the arc sine of an inner product over the root of the product of squared sizes."""
     return float(np.arcsin(min(max(product / np.sqrt(squares), -1.0), 1.0)))

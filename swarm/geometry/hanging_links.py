@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.catenary_kernel import solve_catenary
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2
 
 Floats = npt.NDArray[np.float64]
@@ -93,7 +93,7 @@ def hang_links(start: Floats1, end: Floats1, length: float, joints: Floats2) -> 
     return size <= 1e3 * _CLOSED * length
 
 
-@compiled
+@inner
 def _gap(
     across: float, up: float, links: int, chain: tuple[float, float, float]
 ) -> tuple[tuple[float, float], tuple[float, float, float]]:

@@ -29,7 +29,7 @@ from swarm.geometry.sensitivity import (
     EndMovement,
     find_class,
 )
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats2, Floats3, Ints1
 
 Floats = npt.NDArray[np.float64]
@@ -92,7 +92,7 @@ def _movement_difference(per_arc: Numbers, arc: Numbers, relative: Numbers) -> N
     return per_arc * arc * relative
 
 
-movement, movement_difference = compiled(_movement), compiled(_movement_difference)
+movement, movement_difference = inner(_movement), inner(_movement_difference)
 """The same for one strand, compiled."""
 
 
@@ -159,7 +159,7 @@ class PointResponse(NamedTuple):
     determinant: float
 
 
-@compiled
+@inner
 def point_response(strand: Catenary, normal: tuple[float, float], fraction: float) -> PointResponse:
     """Return the first-order response of the point at a fraction of the arc.
 
@@ -190,7 +190,7 @@ def point_response(strand: Catenary, normal: tuple[float, float], fraction: floa
     return PointResponse(by_along, by_up, share, by_start, by_end, bent + level, determinant)
 
 
-@compiled
+@inner
 def strand_response(
     strand: Catenary,
     normal: tuple[float, float],
@@ -223,7 +223,7 @@ def strand_response(
     return np.inf, np.inf, np.inf
 
 
-@compiled
+@inner
 def _curvature(
     strand: Catenary, piece: tuple[float, float], stretch: float, table: Floats
 ) -> float:
@@ -259,7 +259,7 @@ def _curvature(
     return float(mean)
 
 
-@compiled
+@inner
 def _largest(parts: Floats, begin: float, end: float) -> float:
     """Return the largest value of the parts of a strand that a piece overlaps."""
     first = max(int(begin * _PARTS - 1e-9), 0)

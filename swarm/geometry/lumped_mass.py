@@ -14,7 +14,7 @@ import numpy.typing as npt
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.hanging_links import hung_strands
 from swarm.geometry.lumped_mass_kernel import Drag, Steps, swing_each
-from swarm.jit import compiled
+from swarm.jit import inner
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -152,7 +152,7 @@ def _farthest(joints: Floats, starts: Floats, ends: Floats, lengths: Floats) -> 
     return np.where((chords > lengths) | np.isnan(distance), np.inf, distance)
 
 
-@compiled
+@inner
 def solve_tridiagonal(lower: Floats, diagonal: Floats, upper: Floats, right: Floats) -> None:
     """Solve a tridiagonal system in place (Thomas); ``right`` becomes the solution."""
     n = len(right)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary import STANDARD_GRAVITY
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats4, Floats5, Floats6, Ints1
 
 Floats = npt.NDArray[np.float64]
@@ -84,7 +84,7 @@ def swing_each(
         _swing_together(given, lengths, steps, drag, (motion, strand), found)
 
 
-@compiled
+@inner
 def _swing_together(
     given: Given, lengths: Floats, steps: Steps, drag: Drag, chosen: Chosen,
     found: Floats,
@@ -120,7 +120,7 @@ def _swing_together(
                         sample[len(sample) - 1, strand[w], i, x] = rows[i, _AFTER + x, w]
 
 
-@compiled
+@inner
 def _step_freely(rows: Floats, places: Floats, drag: Drag, step: float) -> None:
     """Let the joints after the last step be those before this one, and write those after it.
 
@@ -177,7 +177,7 @@ def _step_freely(rows: Floats, places: Floats, drag: Drag, step: float) -> None:
     _measure_link(rows, last - 1)
 
 
-@compiled
+@inner
 def _measure_link(rows: Floats, j: int) -> None:
     """Write a link after the step, and the error of its squared length."""
     if _other_sizes(rows):
@@ -190,7 +190,7 @@ def _measure_link(rows: Floats, j: int) -> None:
         rows[j, _ERROR, w] = x * x + y * y + z * z - rows[j, _SQUARE, w]
 
 
-@compiled
+@inner
 def _restore_links(rows: Floats, most: Floats) -> None:
     """Move the inner joints along the links before the step until all links have their length.
 
@@ -219,7 +219,7 @@ def _restore_links(rows: Floats, most: Floats) -> None:
                     rows[i, _AFTER + x, w] = np.nan
 
 
-@compiled
+@inner
 def _eliminate(rows: Floats) -> None:
     """Write the tridiagonal system for the errors, without its lower diagonal (Thomas)."""
     if _other_sizes(rows):
@@ -238,7 +238,7 @@ def _eliminate(rows: Floats) -> None:
             rows[j + 1, _ERROR, w] -= factor * rows[j, _ERROR, w]
 
 
-@compiled
+@inner
 def _move_joints(rows: Floats) -> None:
     """Solve the system, move the inner joints by a share of it, and measure the links.
 
@@ -279,7 +279,7 @@ def _move_joints(rows: Floats) -> None:
         rows[0, _WORST, w] = max(rows[1, _WORST, w], abs(rows[0, _ERROR, w]))
 
 
-@compiled
+@inner
 def _product(rows: Floats, i: int, j: int, w: int) -> float:
     """Return the scalar product of the links i after the step and j before it, of strand w."""
     return float(
@@ -289,7 +289,7 @@ def _product(rows: Floats, i: int, j: int, w: int) -> float:
     )
 
 
-@compiled
+@inner
 def _other_sizes(rows: Floats) -> bool:
     """Return False: a branch by it tells the compiler the sizes, which it needs for vectors."""
     return bool(rows.shape[1] != _FIELDS or rows.shape[2] != TOGETHER)

@@ -10,7 +10,7 @@ from math import comb
 import numpy as np
 import numpy.typing as npt
 
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats4, contiguous
 
 Floats = npt.NDArray[np.float64]
@@ -69,7 +69,7 @@ def _evaluate(breaks: Floats1, coefficients: Floats4, times: Floats1, states: Fl
             evaluate_piece(coefficients[piece], i, since, moving, states[:, q, i])
 
 
-@compiled
+@inner
 def find_piece(breaks: Floats, time: float) -> tuple[int, float, float]:
     """Return the piece at a time, the seconds since its start, and 1; 0 outside the motion."""
     inside = min(max(time, breaks[0]), breaks[-1])
@@ -77,7 +77,7 @@ def find_piece(breaks: Floats, time: float) -> tuple[int, float, float]:
     return piece, inside - breaks[piece], 1.0 if inside == time else 0.0
 
 
-@compiled
+@inner
 def evaluate_piece(c: Floats, i: int, u: float, moving: float, state: Floats) -> None:
     """Write the state of point ``i``, ``u`` seconds into a piece ``c`` (6, n, 3).
 
@@ -92,14 +92,14 @@ def evaluate_piece(c: Floats, i: int, u: float, moving: float, state: Floats) ->
             state[2, x] = moving * (2 * c2 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5)))
 
 
-@compiled
+@inner
 def place_in_piece(c: Floats, i: int, x: int, u: float) -> float:
     """Return coordinate ``x`` of point ``i``, ``u`` seconds into a piece ``c`` (6, n, 3)."""
     c1, c2, c3, c4, c5 = c[1, i, x], c[2, i, x], c[3, i, x], c[4, i, x], c[5, i, x]
     return float(c[0, i, x] + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5)))))
 
 
-@compiled
+@inner
 def speed_in_piece(c: Floats, i: int, x: int, u: float) -> float:
     """Return the derivative of :func:`place_in_piece` by time."""
     c1, c2, c3, c4, c5 = c[1, i, x], c[2, i, x], c[3, i, x], c[4, i, x], c[5, i, x]

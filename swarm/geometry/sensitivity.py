@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.catenary_kernel import max_elevation_sine
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats5, Ints1
 
 Floats = npt.NDArray[np.float64]
@@ -59,7 +59,7 @@ class EndMovement(NamedTuple):
     relative: float
 
 
-@compiled
+@inner
 def error_of_ends(ends: int, size: float) -> EndMovement:
     """Return the movement of ends by up to ``size`` metres in any directions."""
     return EndMovement(ends, size, 2.0 * size if ends == BOTH_ENDS else size)
@@ -131,7 +131,7 @@ class RatioRange(NamedTuple):
     high_bin: int
 
 
-@compiled
+@inner
 def ratio_range(ratio: float, reach: float) -> RatioRange:
     """Return the range of a chord ratio that grows from ``ratio`` by at most ``reach``."""
     low = min(max(ratio, 0.0), LARGEST_RATIO)
@@ -139,13 +139,13 @@ def ratio_range(ratio: float, reach: float) -> RatioRange:
     return RatioRange(low, high, _bin(low), _bin(high))
 
 
-@compiled
+@inner
 def elevation_class(sine: float) -> int:
     """Return the elevation class of a chord whose sine of elevation is at most ``sine``."""
     return find_class(sine, _SINES)
 
 
-@compiled
+@inner
 def find_class(sine: float, sines: Floats) -> int:
     """Return the first of increasing classes that includes a sine, or their number."""
     found = 0
@@ -154,7 +154,7 @@ def find_class(sine: float, sines: Floats) -> int:
     return found
 
 
-@compiled
+@inner
 def _tabulated(piece: int) -> int:
     """Return the smallest piece in the tables that contains a piece."""
     while piece >= 2 * FINEST:
@@ -162,7 +162,7 @@ def _tabulated(piece: int) -> int:
     return piece
 
 
-@compiled
+@inner
 def finest_piece(piece: int, fraction: float) -> int:
     """Return the smallest piece in the tables that contains a point, within a given piece.
 
@@ -176,7 +176,7 @@ def finest_piece(piece: int, fraction: float) -> int:
     return point
 
 
-@compiled
+@inner
 def movement_bound(
     tables: Sensitivity, steep: int, ends: int, piece: int, ratios: RatioRange
 ) -> tuple[float, float]:
@@ -188,7 +188,7 @@ def movement_bound(
     )
 
 
-@compiled
+@inner
 def chord_response(
     rise: float, span: float, length: float, moved: EndMovement, piece: int, tables: Sensitivity
 ) -> tuple[float, float]:
@@ -199,7 +199,7 @@ def chord_response(
     return movement_bound(tables, steep, moved.ends, piece, ratios)
 
 
-@compiled
+@inner
 def _mean(norms: Floats, integrals: Floats, piece: int, ratios: RatioRange) -> float:
     """Return the mean norm of a piece over a range of ratios."""
     at_high = float(norms[ratios.high_bin, piece])

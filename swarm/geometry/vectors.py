@@ -2,36 +2,36 @@
 
 import math
 
-from swarm.jit import compiled
+from swarm.jit import inner
 
 Vector = tuple[float, float, float]
 
 
-@compiled
+@inner
 def difference(one: Vector, other: Vector) -> Vector:
     """Return one vector less the other."""
     return one[0] - other[0], one[1] - other[1], one[2] - other[2]
 
 
-@compiled
+@inner
 def size(vector: Vector) -> float:
     """Return the length of a vector."""
     return math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
 
 
-@compiled
+@inner
 def dot(one: Vector, other: Vector) -> float:
     """Return the product of two vectors; summed as by ``numpy.einsum``, to the last bit."""
     return one[0] * other[0] + one[2] * other[2] + one[1] * other[1]
 
 
-@compiled
+@inner
 def moved(start: Vector, share: float, step: Vector) -> Vector:
     """Return the point that is a share of a step from a start."""
     return start[0] + share * step[0], start[1] + share * step[1], start[2] + share * step[2]
 
 
-@compiled
+@inner
 def unit(vector: Vector) -> Vector:
     """Return the unit vector; straight up for a vector of no length."""
     length = size(vector)

@@ -9,7 +9,7 @@ on straight up, as :func:`swarm.knots.curve_diagram.close_upward` closes them.
 import numpy as np
 import numpy.typing as npt
 
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.knots.grid import OpenGrid
 from swarm.signatures import Floats2
 
@@ -174,21 +174,21 @@ def _shape(p: Floats2, best: Floats2, uniform: Floats2, normal: Floats2, size: f
                     _copy(best, k, p, k)
 
 
-@compiled
+@inner
 def _copy(to: Points, i: int, p: Points, j: int) -> None:
     """Copy row j of p to row i."""
     for x in range(3):
         to[i, x] = p[j, x]
 
 
-@compiled
+@inner
 def _swap(p: Points, i: int, j: int) -> None:
     """Exchange two rows."""
     for x in range(3):
         p[i, x], p[j, x] = p[j, x], p[i, x]
 
 
-@compiled
+@inner
 def _raise_ends(p: Points, count: int) -> None:
     """Put the far ends straight above the first and the last vertex."""
     _copy(p, 0, p, 1)
@@ -197,7 +197,7 @@ def _raise_ends(p: Points, count: int) -> None:
     p[count - 1, 2] += _FAR
 
 
-@compiled
+@inner
 def _move_inside(p: Points, count: int, i: int) -> bool:
     """Move vertex i to the place unless that encloses an end in plan view; return whether it
     moved."""
@@ -210,7 +210,7 @@ def _move_inside(p: Points, count: int, i: int) -> bool:
     return True
 
 
-@compiled
+@inner
 def _leave_out(p: Points, count: int, i: int) -> int:
     """Leave vertex i out unless that changes the knot or encloses an end; return how many left."""
     if not _can_leave_out(p, count, i):
@@ -229,7 +229,7 @@ def _leave_out(p: Points, count: int, i: int) -> int:
     return 0
 
 
-@compiled
+@inner
 def _can_move(p: Points, count: int, i: int) -> bool:
     """Return whether vertex i can move straight to the place without passing through an edge."""
     place = len(p) - 2
@@ -248,7 +248,7 @@ def _can_move(p: Points, count: int, i: int) -> bool:
     )
 
 
-@compiled
+@inner
 def _far_above(p: Points, i: int) -> int:
     """Return the last row, and write the place far above row i to it."""
     far = len(p) - 1
@@ -257,7 +257,7 @@ def _far_above(p: Points, i: int) -> int:
     return far
 
 
-@compiled
+@inner
 def _can_leave_out(p: Points, count: int, i: int) -> bool:
     """Return whether vertex i can be left out without passing through an edge."""
     if 1 < i < count - 2:
@@ -270,7 +270,7 @@ def _can_leave_out(p: Points, count: int, i: int) -> bool:
     )
 
 
-@compiled
+@inner
 def _is_clear(p: Points, count: int, triangle: tuple[int, int, int], first: int, last: int) -> bool:
     """Return whether no edge but ``first`` … ``last`` − 1 pierces the triangle of three rows."""
     for j in range(count - 1):
@@ -280,7 +280,7 @@ def _is_clear(p: Points, count: int, triangle: tuple[int, int, int], first: int,
     return True
 
 
-@compiled
+@inner
 def _pierces(p: Points, j: int, triangle: tuple[int, int, int]) -> bool:
     """Return whether edge j meets the triangle of three rows (Möller and Trumbore 1997)."""
     o, q, r = triangle
@@ -303,7 +303,7 @@ def _pierces(p: Points, j: int, triangle: tuple[int, int, int]) -> bool:
     return bool(-_TOUCHING <= place <= 1.0 + _TOUCHING)
 
 
-@compiled
+@inner
 def _cost(p: Points, rows: int) -> float:
     """Return how uneven and how close to itself a polygon with the far ends is; scale-free."""
     count = rows - 2
@@ -328,7 +328,7 @@ def _cost(p: Points, rows: int) -> float:
     return float(cost)
 
 
-@compiled
+@inner
 def _square_distance(p: Points, i: int, j: int, k: int, axes: int) -> float:
     """Return the squared distance of the segment of rows i and j from edge k in the first axes."""
     uu = uv = vv = uw = vw = ww = 0.0
@@ -354,13 +354,13 @@ def _square_distance(p: Points, i: int, j: int, k: int, axes: int) -> float:
     return float(max(least, _LEAST_SQUARE))
 
 
-@compiled
+@inner
 def _ends_are_outside(p: Points, count: int) -> bool:
     """Return whether a straight way outward from each end crosses no edge in plan view."""
     return _is_outside(p, count, 1) and _is_outside(p, count, count - 2)
 
 
-@compiled
+@inner
 def _is_outside(p: Points, count: int, end: int) -> bool:
     """Return whether one of some straight ways outward from an end crosses no edge."""
     for k in range(_DIRECTIONS):

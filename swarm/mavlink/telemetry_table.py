@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Bytes3, Floats2, Ints1, Ints2, Shorts2
 
 Floats = npt.NDArray[np.float64]
@@ -191,7 +191,7 @@ def packet_rows(data: bytes) -> Indices:
     return np.empty((len(data) // _MIN_PACKET + 1, 5), np.int64)
 
 
-@compiled
+@inner
 def _validate(data: bytes, start: int, end: int, system: int, extras: Indices) -> tuple[bool, bool]:
     """Return whether a datagram holds only valid unsigned packets of a vehicle, and whether it
     holds a packet that is compared with positions."""
@@ -214,7 +214,7 @@ def _validate(data: bytes, start: int, end: int, system: int, extras: Indices) -
     return True, compared
 
 
-@compiled
+@inner
 def _read_packet(
     data: bytes, at: int, close: int, single: npt.NDArray[np.float32], now: float, row: Floats
 ) -> bool:
@@ -238,7 +238,7 @@ def _read_packet(
     return True
 
 
-@compiled
+@inner
 def crc_accumulate(checksum: int, byte: int) -> int:
     """Return the X25 checksum with one more byte."""
     change = (byte ^ checksum) & 0xFF

@@ -9,7 +9,7 @@ from numba import types
 
 from swarm.folding.margins import PenaltyModel
 from swarm.folding.penalty import KEPT, TeamGeometry, missed_margins
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Ints1, Ints2
 from swarm.untangling.moved_vehicle import Group, TeamState, missed_by, team_state, update
 from swarm.untangling.tangle import HEADINGS, crossed, not_ahead, weighted
@@ -185,7 +185,7 @@ def _flood(
     return count
 
 
-@compiled
+@inner
 def _move(team: TeamState, group: Group, lattice: _Lattice, cell: Ints1, own: Floats) -> None:
     """Displace vehicles from their ``own`` places (k, 3) by the displacement of a cell (3,)."""
     for k in range(len(own)):
@@ -194,7 +194,7 @@ def _move(team: TeamState, group: Group, lattice: _Lattice, cell: Ints1, own: Fl
             team.positions[group.first + k, axis] = own[k, axis] + offset
 
 
-@compiled
+@inner
 def _is_unseen(numbers: Ints, cell: Ints) -> bool:
     """Return whether a cell (3,) is in the lattice and was not visited."""
     for axis in range(3):
@@ -203,7 +203,7 @@ def _is_unseen(numbers: Ints, cell: Ints) -> bool:
     return bool(numbers[cell[0], cell[1], cell[2]] == _UNSEEN)
 
 
-@compiled
+@inner
 def _is_near(lattice: _Lattice, cell: Ints) -> bool:
     """Return whether the cable to the vehicles beside is long enough at a cell (3,)."""
     for k in range(len(lattice.held)):

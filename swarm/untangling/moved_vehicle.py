@@ -25,7 +25,7 @@ from swarm.folding.vehicle_clearance import (
     write_body,
 )
 from swarm.geometry.distance import bounding_boxes, boxes_closer, point_distance
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3
 
 Floats = npt.NDArray[np.float64]
@@ -112,25 +112,25 @@ def missed_by(team: TeamState, group: Group, enough: float, model: PenaltyModel)
     return missed
 
 
-@compiled
+@inner
 def _stretched(team: TeamState, group: Group) -> tuple[int, int]:
     """Return the strands before and after moved vehicles, −1 where there is none."""
     return group.first - 1, group.last - 1 if group.last <= len(team.lengths) else -1
 
 
-@compiled
+@inner
 def _is_carried(strand: int, group: Group) -> bool:
     """Return whether a strand moves with both its ends."""
     return group.first <= strand < group.last - 1
 
 
-@compiled
+@inner
 def _is_moved(strand: int, group: Group) -> bool:
     """Return whether a strand moves."""
     return group.first - 1 <= strand < group.last
 
 
-@compiled
+@inner
 def _missed_between_strands(team: TeamState, group: Group, model: PenaltyModel) -> float:
     """Return what moved strands miss to those that share no vehicle with them."""
     missed, margins = 0.0, model.margins
@@ -149,7 +149,7 @@ def _missed_between_strands(team: TeamState, group: Group, model: PenaltyModel) 
     return missed
 
 
-@compiled
+@inner
 def _missed_at_vehicles(team: TeamState, group: Group, model: PenaltyModel) -> float:
     """Return what moved vehicles miss to the strands of others, and others to moved strands."""
     missed, margins, body = 0.0, model.margins, np.empty((1, 2, 3))
@@ -172,7 +172,7 @@ def _missed_at_vehicles(team: TeamState, group: Group, model: PenaltyModel) -> f
     return missed
 
 
-@compiled
+@inner
 def _missed_at_junctions(team: TeamState, group: Group, model: PenaltyModel) -> float:
     """Return what moved strands miss to the next one."""
     chain = Chain(team.points, team.shapes, team.response)

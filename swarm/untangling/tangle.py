@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.gauss_integral import gauss_integral
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1
 from swarm.untangling.moved_vehicle import TeamState
 
@@ -27,7 +27,7 @@ _STRAIGHT = 0.15
 sides."""
 
 
-@compiled
+@inner
 def crossed(team: TeamState, first: int, last: int) -> float:
     """Return the Gauss integrals of pairs with one of the strands ``first`` … ``last`` − 1."""
     total = 0.0
@@ -53,7 +53,7 @@ def not_ahead(team: TeamState, first: int, last: int, missing: Floats1) -> None:
             missing[k] += _AHEAD * max(1.0 - ahead, 0.0)
 
 
-@compiled
+@inner
 def weighted(crossings: float, missing: Floats) -> float:
     """Return how tangled a team is, from its Gauss integrals and its parts not ahead."""
     return crossings + _STRAIGHT * float(missing.min())

@@ -47,6 +47,8 @@ def python_functions(module: types.ModuleType) -> Iterator[types.FunctionType]:
     for value in vars(module).values():
         for one in vars(value).values() if isinstance(value, type) else (value,):
             function = getattr(one, "fget", getattr(one, "func", getattr(one, "__func__", one)))
+            if not isinstance(function, Dispatcher):  # as by functools.cache
+                function = getattr(function, "__wrapped__", function)
             if isinstance(function, types.FunctionType) and function.__module__ == module.__name__:
                 yield function
 
@@ -74,6 +76,20 @@ def test_whatever_python_calls_declares_its_types():
         if declared(one) is None
     }
     assert undeclared == set()
+
+
+def test_what_only_compiled_functions_call_is_inner():
+    """Anything else is compiled beforehand as Python would call it, which takes longer."""
+    used = {
+        one for module in modules() for code in python_functions(module) for one in called(code)
+    }
+    unused = {
+        f"{one.py_func.__module__}.{one.py_func.__name__}"
+        for module in modules()
+        for one in vars(module).values()
+        if isinstance(one, Dispatcher) and declared(one) is not None and one not in used
+    }
+    assert unused == set()
 
 
 def test_every_compiled_function_is_in_a_package_that_is_compiled_beforehand():
@@ -213,7 +229,7 @@ PREPARE = """
 from swarm import precompile
 from swarm.jit import cache
 seen = []
-packages = ("swarm.planning.timing", "swarm.flight.load")
+packages = ("swarm.planning.timing", "swarm.geometry.distance")
 precompile.prepare(packages, lambda stage, share: seen.append(share))
 assert seen[-1] == 1.0 and seen == sorted(seen) and len(seen) > 3, seen
 assert len(list(cache().glob("*/**/*.nbi"))) >= 3

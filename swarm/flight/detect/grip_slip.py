@@ -23,7 +23,7 @@ from swarm.flight.failures import Failure, FailureKind, Finding
 from swarm.flight.load import TAUT, end_forces
 from swarm.flight.observation import Expected, Observation
 from swarm.geometry.catenary import STANDARD_GRAVITY
-from swarm.jit import compiled
+from swarm.jit import compiled, inner
 from swarm.planning import Plan
 from swarm.signatures import Columns2, Floats1, Floats2, Floats3
 
@@ -360,7 +360,7 @@ def thrust(attitude: Columns2, pull: Floats2, mass: float) -> Floats:
     return force
 
 
-@compiled
+@inner
 def lean(roll: float, pitch: float, yaw: float) -> tuple[float, float]:
     """Return the horizontal part of the thrust per vertical part, east and north.
 
