@@ -42,6 +42,10 @@ flight."""
 _PROCESSES = 4
 """Most processes that compile beside each other: 40 s of a processor for all are then 10 s."""
 
+_ENDS = ("first", "last")
+"""Which modules a process takes first. Every other process begins with the last ones, because
+neighbours call the same functions, and two processes would compile them at the same time."""
+
 _STAGE = "compiling, once on this machine"
 
 
@@ -97,14 +101,14 @@ def compiling(packages: Sequence[str]) -> Iterator[Callable[[Progress | None], N
         yield lambda _progress: None
         return
     with tempfile.TemporaryDirectory(prefix="swarm-") as taken:
-        command = module_command(__name__, taken, *packages)
         reading, writing = os.pipe()
         processes = [
             subprocess.Popen(  # noqa: S603
-                command, stdin=subprocess.DEVNULL, stdout=writing, stderr=subprocess.DEVNULL
+                module_command(__name__, taken, _ENDS[number % 2], *packages),
+                stdin=subprocess.DEVNULL, stdout=writing, stderr=subprocess.DEVNULL,
             )
-            for _ in range(min(_PROCESSES, os.cpu_count() or 1))
-        ]
+            for number in range(min(_PROCESSES, os.cpu_count() or 1))
+        ]  # fmt: skip
         os.close(writing)
 
         def finish(progress: Progress | None) -> None:
@@ -171,18 +175,21 @@ def _files(packages: Iterable[str]) -> dict[str, str]:
     return found
 
 
-def main(taken: str, packages: Sequence[str]) -> None:
+def main(taken: str, end: str, packages: Sequence[str]) -> None:
     """Compile the declared functions of packages that no other process compiles.
 
     A process takes a module or a function by creating a file in the folder ``taken``. It takes
-    whole modules while there are any, because their functions call the same others, and then helps
-    with what is left of those of other processes. In a module those that others call come last.
+    whole modules while there are any, from the ``end`` that is first or last, because their
+    functions call the same others, and then helps with what is left of those of other processes. In
+    a module those that others call come last.
     Writes the number of all functions to standard output, and a line for each that is compiled
     here.
     """
     # Of what a compiler makes little becomes garbage; looking for it took an eighth of the time.
     gc.disable()
     modules = list(_files(packages))
+    if end == "last":
+        modules.reverse()
     for module in modules:
         importlib.import_module(module)
     pending = {
@@ -216,4 +223,4 @@ def _take(taken: str, name: str) -> bool:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2:])
+    main(sys.argv[1], sys.argv[2], sys.argv[3:])
