@@ -28,6 +28,7 @@ from swarm.certification.strand_pieces import (
     Part,
     Piece,
     held_piece,
+    largest_movement,
     piece_movement,
 )
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
@@ -147,8 +148,8 @@ def _write_margins(
             cable, segment, grips, instant, Part(middle[1], half[1], 0.0, 1.0),
             Displacement(grip.velocity, ends, tracking, grip.deviation),
         )  # fmt: skip
-        distances = 0.5 * kept.diameter, kept.required[boxes.group[b]]
-        _write_margin(cable, piece, (grip, body), distances, b, found)
+        limits = 0.5 * kept.diameter, kept.required[boxes.group[b]], boxes.enough
+        _write_margin(cable, piece, (grip, body), limits, b, found)
 
 
 @inner
@@ -156,11 +157,15 @@ def _write_margin(
     cable: CableTables,
     piece: Piece,
     vehicle: tuple[Grip, Body],
-    distances: tuple[float, float],
+    limits: tuple[float, float, float],
     b: int,
     found: EnclosureArrays,
 ) -> None:
-    """Write the margin of a vehicle and a piece of a strand to the sum of two ``distances``."""
+    """Write the margin of a vehicle and a piece of a strand.
+
+    ``limits`` are two distances whose sum is required, and the margin that is enough.
+    """
+    radius, required, enough = limits
     (grip, body), own = vehicle, piece.end_motion.ends != BOTH_ENDS
     tip = body.grip_offset if own else 0.0
     near, far = difference(piece.near, grip.place), difference(piece.far, grip.place)
@@ -168,13 +173,18 @@ def _write_margin(
     apart = difference(at_strand, at_body)
     normal = unit(apart)
     reach = min(dot(near, normal), dot(far, normal))
-    moves, swing = piece_movement(cable, piece, normal, along), piece.swing
-    shift = (0.0 if own else cable.tracking) + distances[0] + distances[1]
+    shift = (0.0 if own else cable.tracking) + radius + required
+    swing = piece.swing
+    kept_apart = reach - _support(body, normal, tip) - piece.bow - shift - swing.most
+    if kept_apart - largest_movement(cable, piece, normal) >= enough:
+        found.low[b] = kept_apart - largest_movement(cable, piece, normal)
+        return
+    moves = piece_movement(cable, piece, normal, along)
     low = reach - _support(body, normal, tip) - piece.bow - moves.piece - shift - swing.most
     high = size(apart) + piece.bow - moves.tracking - shift - swing.least
     in_time = moves.point - moves.tracking + (swing.most - swing.now)
     found.doubts[b, 0], found.doubts[b, 1] = in_time, high - low - in_time
-    touching = -distances[0] - distances[1]
+    touching = -radius - required
     # Surfaces are never nearer than touching, also where an over-stretched strand is bounded poorly
     found.low[b], found.high[b] = max(low, min(high, touching)), high
     for axis in range(3):

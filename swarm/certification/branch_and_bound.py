@@ -31,24 +31,28 @@ _BATCH = 2**17
 class Boxes:
     """m boxes: group (m,), middle and half width (m, d) of d coordinates.
 
-    ``known`` (m,) is a lower bound that is already shown for each box.
+    ``known`` (m,) is a lower bound that is already shown for each box. Of a box for which an
+    evaluator has shown the bound ``enough``, nothing else counts.
     """
 
     group: Ints
     middle: Floats
     half: Floats
     known: Floats
+    enough: float = np.inf
 
     def __len__(self) -> int:
         return len(self.group)
 
     def taken(self, where: Flags | Ints | slice) -> "Boxes":
         """Return some of the boxes."""
-        return Boxes(self.group[where], self.middle[where], self.half[where], self.known[where])
+        arrays = self.group[where], self.middle[where], self.half[where], self.known[where]
+        return Boxes(*arrays, self.enough)
 
     def arrays(self) -> "BoxArrays":
         """Return the boxes for compiled code."""
-        return BoxArrays(contiguous(self.group), contiguous(self.middle), contiguous(self.half))
+        arrays = contiguous(self.group), contiguous(self.middle), contiguous(self.half)
+        return BoxArrays(*arrays, self.enough)
 
     def instants(self) -> tuple[Floats, Floats, Ints]:
         """Return the distinct middles of the first coordinate, their half widths, and the index of
@@ -58,11 +62,15 @@ class Boxes:
 
 
 class BoxArrays(NamedTuple):
-    """Group (m,), middle and half width (m, d) of boxes, for compiled code."""
+    """Group (m,), middle and half width (m, d) of boxes, and the bound that is enough.
+
+    For compiled code.
+    """
 
     group: Ints1
     middle: Floats2
     half: Floats2
+    enough: float
 
 
 @dataclass(frozen=True, eq=False)

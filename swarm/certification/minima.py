@@ -120,7 +120,7 @@ def smallest(
         np.minimum.at(low, boxes.group[done], found.low[done])
         return ~done
 
-    search(evaluate, boxes, undecided)
+    search(evaluate, replace(boxes, enough=below), undecided)
     return Minima(np.where(low < np.inf, low, -np.inf), high, time, place, count)
 
 
@@ -162,7 +162,7 @@ def failing(evaluate: Evaluator, boxes: Boxes, initial: int = 0) -> tuple[int, f
             negative[:] = False
         return negative
 
-    search(evaluate, boxes, undecided)
+    search(evaluate, replace(boxes, enough=0.0), undecided)
     unseen = np.flatnonzero(~counted[boxes.group])
     if failed is None and len(unseen):
         return int(boxes.group[unseen[0]]), float(boxes.middle[unseen[0], 0])

@@ -272,38 +272,51 @@ def piece_movement(cable: CableTables, piece: Piece, normal: Vector, along: floa
     the sensitivity of all shapes, and by the strand's own linear response.
     """
     strand, motion, begin, end = piece.strand.catenary, piece.end_motion, piece.begin, piece.end
-    ahead, up = dot(normal, piece.strand.heading), -dot(normal, cable.down)
-    fraction = begin + along * (end - begin)
+    relative, total = motion.relative, motion.total
+    up, fraction = -dot(normal, cable.down), begin + along * (end - begin)
     at_point, per_arc, curvature = strand_response(
-        strand, (ahead, up), fraction, (begin, end),
-        EndMovement(motion.ends, motion.total, motion.relative), cable.curvature,
+        strand, (dot(normal, piece.strand.heading), up), fraction, (begin, end),
+        EndMovement(motion.ends, total, relative), cable.curvature,
     )  # fmt: skip
-    length, relative = strand.length, motion.relative
-    ratio = math.hypot(strand.span, strand.rise) / length
-    ratios = ratio_range(ratio, relative / length)
-    ratios_tracking = ratio_range(ratio, motion.relative_tracking / length)
-    steep = elevation_class(max_elevation_sine(strand.rise, strand.span, relative))
-    number, finest = piece.number, finest_piece(piece.number, fraction)
+    finest, ball = finest_piece(piece.number, fraction), motion.relative_tracking
+    of_piece = _of_all_shapes(cable, piece, up, piece.number, (total, relative))
+    of_point = _of_all_shapes(cable, piece, up, finest, (total, relative))
+    by_tracking = _of_all_shapes(cable, piece, up, finest, (motion.tracking, ball))
+    if at_point < np.inf:
+        arc = strand.length * max(fraction - begin, end - fraction)
+        linear = movement(at_point, curvature, total, relative)
+        of_piece = min(of_piece, linear + movement_difference(per_arc, arc, relative))
+        of_point = min(of_point, linear)
+        by_tracking = min(by_tracking, movement(at_point, curvature, motion.tracking, ball))
+    return Movement(of_piece, of_point, by_tracking)
+
+
+@inner
+def largest_movement(cable: CableTables, piece: Piece, normal: Vector) -> float:
+    """Return a bound of a piece's movement by the sensitivity of all shapes alone.
+
+    It is not below that of :func:`piece_movement`, and takes a fraction of its time.
+    """
+    motion = piece.end_motion
+    up, moved_by = -dot(normal, cable.down), (motion.total, motion.relative)
+    return _of_all_shapes(cable, piece, up, piece.number, moved_by)
+
+
+@inner
+def _of_all_shapes(
+    cable: CableTables, piece: Piece, up: float, number: int, moved_by: tuple[float, float]
+) -> float:
+    """Return a bound of the movement of the piece with a heap number, within the given piece.
+
+    The ends move by a size, and relative to each other; ``up`` is the part of a unit vector against
+    the effective gravity.
+    """
+    (by, apart), strand = moved_by, piece.strand.catenary
+    steep = max_elevation_sine(strand.rise, strand.span, piece.end_motion.relative)
+    ratio = math.hypot(strand.span, strand.rise) / strand.length
+    level, rising = movement_bound(
+        cable.sensitivity, elevation_class(steep), piece.end_motion.ends, number,
+        ratio_range(ratio, apart / strand.length),
+    )  # fmt: skip
     upright = min(abs(up), 1.0)
-    of_piece = of_point = of_tracking = 0.0
-    for which in range(3):
-        moved_by = motion.total if which < 2 else motion.tracking
-        apart = relative if which < 2 else motion.relative_tracking
-        level, rising = movement_bound(
-            cable.sensitivity, steep, motion.ends,
-            number if which == 0 else finest, ratios if which < 2 else ratios_tracking,
-        )  # fmt: skip
-        worst = (math.sqrt(1.0 - upright * upright) * level + upright * rising) * moved_by
-        if at_point < np.inf:
-            bound = movement(at_point, curvature, moved_by, apart)
-            if which == 0:
-                arc = length * max(fraction - begin, end - fraction)
-                bound += movement_difference(per_arc, arc, relative)
-            worst = min(worst, bound)
-        if which == 0:
-            of_piece = worst
-        elif which == 1:
-            of_point = worst
-        else:
-            of_tracking = worst
-    return Movement(of_piece, of_point, of_tracking)
+    return (math.sqrt(1.0 - upright * upright) * level + upright * rising) * by

@@ -22,6 +22,7 @@ from swarm.certification.strand_pieces import (
     Piece,
     counted,
     held_piece,
+    largest_movement,
     piece_movement,
 )
 from swarm.geometry.distance import segment_distance
@@ -90,7 +91,7 @@ def _write_margins(
         one = held_piece(cable, first, grips, instant, part, displacement)
         displacement = _displacement(cable.tracking, grips, others, far_end)
         other = held_piece(cable, second, others, instant, other_part, displacement)
-        _write_margin(cable, (one, other), required, chords, b, found)
+        _write_margin(cable, (one, other), (required, boxes.enough), chords, b, found)
 
 
 @inner
@@ -124,13 +125,16 @@ def _mean_velocity(grips: tuple[Grip, Grip], others: tuple[Grip, Grip]) -> Vecto
 def _write_margin(
     cable: CableTables,
     pieces: tuple[Piece, Piece],
-    required: float,
+    limits: tuple[float, float],
     chords: Floats,
     b: int,
     found: EnclosureArrays,
 ) -> None:
-    """Write the margin of two pieces to a required distance; ``chords`` (2, 2, 3) is memory."""
-    one, other = pieces
+    """Write the margin of two pieces; ``chords`` (2, 2, 3) is memory.
+
+    ``limits`` are the required distance, and the margin that is enough.
+    """
+    (one, other), (required, enough) = pieces, limits
     for axis in range(3):
         chords[0, 0, axis], chords[0, 1, axis] = one.near[axis], one.far[axis]
         chords[1, 0, axis], chords[1, 1, axis] = other.near[axis], other.far[axis]
@@ -141,10 +145,14 @@ def _write_margin(
     normal = unit(difference(at_one, at_other))
     reach = min(dot(one.near, normal), dot(one.far, normal))
     reach_other = max(dot(other.near, normal), dot(other.far, normal))
+    swing, swing_other, bows = one.swing, other.swing, one.bow + other.bow
+    most = largest_movement(cable, one, normal) + largest_movement(cable, other, normal)
+    most += swing.most + swing_other.most
+    if reach - reach_other - bows - most - required >= enough:
+        found.low[b] = reach - reach_other - bows - most - required
+        return
     moves = piece_movement(cable, one, normal, here)
     moves_other = piece_movement(cable, other, normal, there)
-    swing, swing_other = one.swing, other.swing
-    bows = one.bow + other.bow
     most = moves.piece + moves_other.piece + swing.most + swing_other.most
     least = moves.tracking + moves_other.tracking + swing.least + swing_other.least
     found.low[b] = reach - reach_other - bows - most - required
