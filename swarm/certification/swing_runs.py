@@ -8,6 +8,7 @@ trajectories, the air is still, and the cable is at rest when it comes aloft.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,7 @@ from swarm.threads import side_by_side
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
+Beginnings = Literal["all", "even", "odd"]
 
 STEP = COURSE_STEP
 """Seconds of a step of the simulation: strays of shaped default missions differ by less than 0.5 mm
@@ -217,9 +219,16 @@ def planned_swing(plan: Plan, span: tuple[float, float]) -> PlannedSwing:
 
 
 def swings_after(
-    plan: Plan, span: tuple[float, float], planned: PlannedSwing, changes: Sequence[Course]
+    plan: Plan,
+    span: tuple[float, float],
+    planned: PlannedSwing,
+    changes: Sequence[Course],
+    beginnings: Beginnings = "all",
 ) -> Iterator[Swung]:
-    """Yield the swings after changes of the clock's rate, several courses together."""
+    """Yield the swings after changes of the clock's rate, several courses together.
+
+    From all ``beginnings``, or from every other one, the first of which is ``even``.
+    """
     limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
     strands, model = planned.strands, planned.strands[-1].model
     certified, compared = plan.mission.fold.certifies_swing, steps_between_compared(model)
@@ -231,6 +240,8 @@ def swings_after(
                 apart = min(apart, _CERTIFIED_APART)
             steps = compared * round(apart / COMPARED)
             chosen = np.arange(0, len(planned.times) - 1, steps)
+            if beginnings != "all":
+                chosen = chosen[("even", "odd").index(beginnings) :: 2]
             times = limits.course(
                 planned.times[chosen], course.rate, course.target, course.duration,
                 urgent=course.urgent,

@@ -95,6 +95,15 @@ def swing_tube(plan: Plan) -> SwingTube | None:
     return _tube_of(_Named(digest(plan), plan))
 
 
+def coarse_tube(plan: Plan) -> SwingTube | None:
+    """Return the tube with urgent changes from every other beginning; see :func:`swing_tube`.
+
+    It may be too narrow by millimetres, but where budgets are short in it, they are short. Its
+    swings are not simulated again for the tube.
+    """
+    return _coarse_tube_of(_Named(digest(plan), plan))
+
+
 def ordinary_tube(plan: Plan) -> TubeRadii | None:
     """Return :attr:`SwingTube.ordinary` of a plan's tube, without the other changes."""
     return _ordinary_radii_of(_Named(digest(plan), plan))
@@ -109,12 +118,34 @@ class _Named:
 @lru_cache(maxsize=8)
 def _tube_of(named: _Named) -> SwingTube | None:
     """Every call of the certificate's search needs the tube; its plan is told by its digest."""
-    ordinary, swings = _ordinary_radii_of(named), _ordinary_of(named)
+    ordinary, swings = _ordinary_radii_of(named), _coarsely_changed(named)
     _ordinary_of.cache_clear()
+    _coarsely_changed.cache_clear()
     if swings is None or ordinary is None:
         return None
-    urgent = tuple(course for course in COURSES if course.urgent)
-    swings.collect(swings_after(named.plan, swings.span, swings.planned, urgent))
+    swings.collect(swings_after(named.plan, swings.span, swings.planned, _URGENT, "odd"))
+    return _made_of(swings, ordinary)
+
+
+@lru_cache(maxsize=8)
+def _coarse_tube_of(named: _Named) -> SwingTube | None:
+    ordinary, swings = _ordinary_radii_of(named), _coarsely_changed(named)
+    return _made_of(swings, ordinary) if swings and ordinary else None
+
+
+@lru_cache(maxsize=1)
+def _coarsely_changed(named: _Named) -> "_Swings | None":
+    """The ordinary swings with those after urgent changes from every other beginning."""
+    swings = _ordinary_of(named)
+    if swings is not None:
+        swings.collect(swings_after(named.plan, swings.span, swings.planned, _URGENT, "even"))
+    return swings
+
+
+_URGENT = tuple(course for course in COURSES if course.urgent)
+
+
+def _made_of(swings: "_Swings", ordinary: TubeRadii) -> SwingTube:
     found, start = swings.found, swings.span[0]
     names = dict.fromkeys(course.name for course in COURSES)
     return SwingTube(

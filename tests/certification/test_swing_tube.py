@@ -15,7 +15,7 @@ from sitl.world import CableSpec
 from swarm.certification.clearances import certified_tube, tightest_moments
 from swarm.certification.swing_findings import swing_findings
 from swarm.certification.swing_runs import COURSES, STEP, Course, aloft, model_of, swings
-from swarm.certification.swing_tube import SwingTube, _tube_of, swing_tube
+from swarm.certification.swing_tube import SwingTube, _tube_of, coarse_tube, swing_tube
 from swarm.certification.tube_radii import BIN, radii_over
 from swarm.flight.clock import MissionClock
 from swarm.flight.flight_plan import basis_of
@@ -180,6 +180,25 @@ def test_the_tube_is_the_same_on_one_core(shaped: Plan, tube: SwingTube) -> None
         assert np.array_equal(getattr(again, name), getattr(tube, name))
     assert np.array_equal(again.all_changes.pieces, tube.all_changes.pieces)
     assert np.array_equal(again.ordinary.pieces, tube.ordinary.pieces)
+
+
+def test_the_tube_is_the_same_after_a_coarse_one_which_is_narrower(
+    shaped: Plan, tube: SwingTube
+) -> None:
+    _tube_of.cache_clear()
+    coarse, again = coarse_tube(shaped), swing_tube(shaped)
+    assert coarse is not None
+    assert again is not None
+    for found, kept in zip(tables(again), tables(tube), strict=True):
+        assert np.array_equal(found, kept)
+    for found, kept in zip(tables(coarse), tables(tube), strict=True):
+        assert (found <= kept).all()
+    assert coarse.approach.sum() < tube.approach.sum()
+    assert np.array_equal(coarse.ordinary.pieces, tube.ordinary.pieces)
+
+
+def tables(tube: SwingTube) -> tuple[np.ndarray, ...]:
+    return tube.planned, tube.approach, tube.all_changes.pieces
 
 
 def test_the_cable_does_not_swing_before_it_is_aloft(shaped: Plan) -> None:
