@@ -176,8 +176,8 @@ def _write_margin(
     shift = (0.0 if own else cable.tracking) + radius + required
     swing = piece.swing
     kept_apart = reach - _support(body, normal, tip) - piece.bow - shift - swing.most
-    if kept_apart - largest_movement(cable, piece, normal) >= enough:
-        found.low[b] = kept_apart - largest_movement(cable, piece, normal)
+    found.low[b] = kept_apart - largest_movement(cable, piece, normal)
+    if found.low[b] >= enough:
         return
     moves = piece_movement(cable, piece, normal, along)
     low = reach - _support(body, normal, tip) - piece.bow - moves.piece - shift - swing.most

@@ -22,7 +22,7 @@ from swarm.geometry.catenary_kernel import (
     offset_from,
     solve,
 )
-from swarm.geometry.catenary_shape import SMALLEST_HALF_ANGLE
+from swarm.geometry.catenary_shape import SMALLEST_HALF_ANGLE, VERTICAL
 from swarm.geometry.linear_response import (
     curvature_table,
     movement,
@@ -46,9 +46,6 @@ from swarm.jit import inner
 from swarm.signatures import Floats1, Floats3, contiguous
 
 Floats = npt.NDArray[np.float64]
-
-_VERTICAL = 1e-80
-"""Smallest span per length: vertical to any accuracy, and no figure overflows."""
 
 
 class CableTables(NamedTuple):
@@ -193,7 +190,7 @@ def strand_between(cable: CableTables, segment: int, start: Vector, end: Vector)
     rise = -dot(across, down)
     level = moved(across, rise, down)
     span = math.sqrt(dot(level, level))
-    wide = max(span, _VERTICAL * length)
+    wide = max(span, VERTICAL * length)
     _, parameter, slope = solve(wide, rise, length, SMALLEST_HALF_ANGLE)
     heading = level[0] / wide, level[1] / wide, level[2] / wide
     catenary = Catenary(length, parameter, slope, span, rise)
@@ -241,7 +238,7 @@ def held_piece(
 
 
 @inner
-def drift(grip: Grip, half: float, frame: Vector) -> float:
+def _drift(grip: Grip, half: float, frame: Vector) -> float:
     """Bound the movement of a grip point within ``half`` seconds, in a frame with a velocity."""
     return size(difference(grip.velocity, frame)) * half + grip.deviation
 
@@ -254,9 +251,9 @@ def _end_motion(
     first, last = grips
     ends, frame = displacement.ends, displacement.frame
     if ends == BOTH_ENDS:
-        drifted = max(drift(first, half, frame), drift(last, half, frame))
+        drifted = max(_drift(first, half, frame), _drift(last, half, frame))
     else:
-        drifted = drift(last if ends == FAR_END else first, half, frame)
+        drifted = _drift(last if ends == FAR_END else first, half, frame)
     apart = size(difference(last.velocity, first.velocity))
     relative = apart * half + first.deviation + last.deviation
     total = drifted + displacement.deviation + displacement.tracking

@@ -146,16 +146,16 @@ def _write_margin(
     reach = min(dot(one.near, normal), dot(one.far, normal))
     reach_other = max(dot(other.near, normal), dot(other.far, normal))
     swing, swing_other, bows = one.swing, other.swing, one.bow + other.bow
+    chords_apart = reach - reach_other - bows
     most = largest_movement(cable, one, normal) + largest_movement(cable, other, normal)
-    most += swing.most + swing_other.most
-    if reach - reach_other - bows - most - required >= enough:
-        found.low[b] = reach - reach_other - bows - most - required
+    found.low[b] = chords_apart - most - (swing.most + swing_other.most) - required
+    if found.low[b] >= enough:
         return
     moves = piece_movement(cable, one, normal, here)
     moves_other = piece_movement(cable, other, normal, there)
     most = moves.piece + moves_other.piece + swing.most + swing_other.most
     least = moves.tracking + moves_other.tracking + swing.least + swing_other.least
-    found.low[b] = reach - reach_other - bows - most - required
+    found.low[b] = chords_apart - most - required
     found.high[b] = np.sqrt(square) + bows - least - required
     in_time = moves.point - moves.tracking + moves_other.point - moves_other.tracking
     found.doubts[b, 0] = in_time + (swing.most - swing.now) + (swing_other.most - swing_other.now)

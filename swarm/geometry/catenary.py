@@ -22,6 +22,7 @@ from swarm.errors import SwarmError
 from swarm.geometry.catenary_kernel import arc_offset, arc_start, offset_from, solve
 from swarm.geometry.catenary_shape import (
     SMALLEST_HALF_ANGLE,
+    VERTICAL,
     half_angle_for_drop,
     half_angle_for_sag,
     log_sinhc,
@@ -38,9 +39,6 @@ STANDARD_GRAVITY = 9.80665
 MAX_CHORD_RATIO = 0.985
 """Largest chord over length of a segment in the air. Nearer to taut, errors of the ends grow: the
 sag changes by 1.7 m per metre of an end at a ratio of 0.97, and by 9.7 m at 0.999."""
-
-_VERTICAL = 1e-80
-"""Smallest span per length: vertical to any accuracy, and no figure overflows."""
 
 _ROUNDING = 1e-12
 """A chord may exceed the length by this share: coordinates of 1 km are rounded by 1e-13 m."""
@@ -199,7 +197,7 @@ class Catenaries:
 
     @property
     def _span(self) -> Floats:
-        return np.maximum(self.span, _VERTICAL * self.length)
+        return np.maximum(self.span, VERTICAL * self.length)
 
 
 def solve_catenaries(
@@ -229,7 +227,7 @@ def solve_catenaries(
     chord = np.sqrt(span * span + rise * rise)
     _require_reach(chord, length)
 
-    wide = np.maximum(span, _VERTICAL * length)
+    wide = np.maximum(span, VERTICAL * length)
     solved = np.empty((3, span.size))
     _solve_all(_flat(wide), _flat(rise), _flat(length), solved)
     half_angle, parameter, slope = solved.reshape(3, *shape)

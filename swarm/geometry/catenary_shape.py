@@ -16,6 +16,9 @@ Floats = NDArray[np.float64]
 SMALLEST_HALF_ANGLE = 1e-100
 """Half angle of a strand without slack: it changes no shape, and the tension stays finite."""
 
+VERTICAL = 1e-80
+"""Smallest span per length: vertical to any accuracy, and no figure overflows."""
+
 _REVERTED = np.array(
     [
         6.0,
