@@ -27,7 +27,7 @@ from tests.ground.foreign_station import ForeignStation
 from tests.ground.station import fleet_on
 from tests.network import small_plan
 
-SPEED = 4.0
+SPEED = 2.0
 """At twice the speed a vehicle fails safe after 0.25 s without setpoint; at four times, after
 0.125 s, which a busy machine of two cores has taken."""
 FLIGHT_PLAN = small_plan()
