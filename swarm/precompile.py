@@ -29,10 +29,8 @@ Progress = Callable[[str, float], None]
 PLANNING = ("swarm.geometry", "swarm.folding", "swarm.certification", "swarm.planning")
 _MONITOR = "swarm.certification.monitor"
 FLIGHT = ("swarm.flight", "swarm.mavlink", _MONITOR, "sitl")
-"""Packages whose functions are compiled before the first plan and the first flight. Those that
-others call come first, so that few functions are compiled in two processes at the same time. What
-only a flight calls of the certification is compiled with the flight (2.5 s of 41 s of a
-processor)."""
+"""Packages whose functions are compiled before the first plan and the first flight. What
+only a flight calls of the certification is compiled with the flight (2.5 s of a processor)."""
 
 SEARCH = ("swarm.untangling", "swarm.knots.sticks")
 """What only a search for a number of vehicles or for the motion of a given layout calls: compiled
@@ -40,7 +38,7 @@ before the first one, not before every first plan (20 s of a processor), and not
 flight."""
 
 _PROCESSES = 4
-"""Most processes that compile beside each other: 40 s of a processor for all are then 10 s."""
+"""Most processes that compile beside each other: the 33 s of a processor are then 9 s."""
 
 _ENDS = ("first", "last")
 """Which modules a process takes first. Every other process begins with the last ones, because
@@ -181,9 +179,8 @@ def main(taken: str, end: str, packages: Sequence[str]) -> None:
     A process takes a module or a function by creating a file in the folder ``taken``. It takes
     whole modules while there are any, from the ``end`` that is first or last, because their
     functions call the same others, and then helps with what is left of those of other processes. In
-    a module those that others call come last.
-    Writes the number of all functions to standard output, and a line for each that is compiled
-    here.
+    a module those that others call come last. Writes the number of all functions to standard
+    output, and a line for each that is compiled here.
     """
     # Of what a compiler makes little becomes garbage; looking for it took an eighth of the time.
     gc.disable()

@@ -283,7 +283,7 @@ def _to_body(body: Body, strands: Floats) -> Floats:
     nearer = np.minimum(off[:, :-1], off[:, 1:]) - half <= off.min(axis=1)[:, None]
     strand, piece = np.nonzero(nearer)
     chords = pieces[strand, piece]
-    at_strand, _, at_body = body.closest(chords, np.zeros(len(chords)))
+    at_strand, at_body = body.closest(chords, np.zeros(len(chords)))
     distance = np.linalg.norm(at_strand - at_body, axis=-1)
     closest: Floats = np.minimum.reduceat(
         distance, np.searchsorted(strand, np.arange(len(strands)))

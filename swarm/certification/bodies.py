@@ -102,15 +102,15 @@ class Body(NamedTuple):
     radius: float
     grip_offset: float
 
-    def closest(self, chord: Floats, tip: Floats) -> tuple[Floats, Floats, Floats]:
+    def closest(self, chord: Floats, tip: Floats) -> tuple[Floats, Floats]:
         """Return nearly closest points of chords (b, 2, 3) and of the body, by projections.
 
         ``tip`` (b,) is the height of the body's lowest point: 0, or the grip offset for the disc
-        alone. Returns the chords' points (b, 3), their fractions (b,), the body's points (b, 3).
+        alone. Returns the chords' points and the body's points, each (b, 3).
         """
-        found = np.empty((len(chord), 7))
+        found = np.empty((len(chord), 2, 3))
         _write_closest(contiguous(chord), contiguous(tip), self, found)
-        return found[:, 1:4], np.ascontiguousarray(found[:, 0]), found[:, 4:]
+        return found[:, 0], found[:, 1]
 
     def projected(self, point: Floats, tip: Floats) -> Floats:
         """Return the points (b, 3) of the bodies that are closest to the given points (b, 3)."""
@@ -176,10 +176,11 @@ def _write_margin(
     shift = (0.0 if own else cable.tracking) + radius + required
     swing = piece.swing
     kept_apart = reach - _support(body, normal, tip) - piece.bow - shift - swing.most
-    found.low[b] = kept_apart - largest_movement(cable, piece, normal)
+    largest = largest_movement(cable, piece, normal)
+    found.low[b] = kept_apart - largest
     if found.low[b] >= enough:
         return
-    moves = piece_movement(cable, piece, normal, along)
+    moves = piece_movement(cable, piece, normal, along, largest)
     low = reach - _support(body, normal, tip) - piece.bow - moves.piece - shift - swing.most
     high = size(apart) + piece.bow - moves.tracking - shift - swing.least
     in_time = moves.point - moves.tracking + (swing.most - swing.now)
@@ -217,14 +218,14 @@ def _support(body: Body, normal: Vector, tip: float) -> float:
 
 
 @compiled
-def _write_closest(chord: Floats3, tip: Floats1, body: Body, found: Floats2) -> None:
-    """Write :func:`_closest` of chords (b, 2, 3): (b, 7)."""
+def _write_closest(chord: Floats3, tip: Floats1, body: Body, found: Floats3) -> None:
+    """Write the points of :func:`_closest` on chords (b, 2, 3) and on bodies (b, 2, 3)."""
     for b in range(len(found)):
         near = chord[b, 0, 0], chord[b, 0, 1], chord[b, 0, 2]
         far = chord[b, 1, 0], chord[b, 1, 1], chord[b, 1, 2]
-        found[b, 0], at_strand, at_body = _closest(near, far, body, tip[b])
+        _, at_strand, at_body = _closest(near, far, body, tip[b])
         for axis in range(3):
-            found[b, 1 + axis], found[b, 4 + axis] = at_strand[axis], at_body[axis]
+            found[b, 0, axis], found[b, 1, axis] = at_strand[axis], at_body[axis]
 
 
 @compiled

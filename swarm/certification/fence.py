@@ -14,13 +14,14 @@ from swarm.certification.strand_pieces import (
     Part,
     Piece,
     held_piece,
+    largest_movement,
     piece_movement,
 )
 from swarm.geometry.distance import segment_distance, segment_segment
 from swarm.geometry.sensitivity import BOTH_ENDS
 from swarm.geometry.vectors import Vector, difference, dot, moved, unit
 from swarm.jit import compiled, inner
-from swarm.signatures import Floats3, contiguous
+from swarm.signatures import Bools1, Floats2, Floats3, contiguous
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -90,13 +91,16 @@ def _sides(fence: Floats) -> Floats:
 
 def _inside(point: Floats, sides: Floats) -> npt.NDArray[np.bool_]:
     """Whether points (b, 3) lie within the polygon with sides (m, 2, 3), in plan view."""
-    x, y = point[:, None, 0], point[:, None, 1]
-    (x0, y0), (x1, y1) = sides[:, 0, :2].T, sides[:, 1, :2].T
-    straddles = (y0 > y) != (y1 > y)
-    rise = np.where(y1 == y0, 1.0, y1 - y0)
-    crossed = straddles & (x < x0 + (y - y0) / rise * (x1 - x0))
-    inside: npt.NDArray[np.bool_] = np.count_nonzero(crossed, axis=1) % 2 == 1
-    return inside
+    found = np.empty(len(point), dtype=np.bool_)
+    _write_inside(contiguous(point), contiguous(sides), found)
+    return found
+
+
+@compiled
+def _write_inside(point: Floats2, sides: Floats3, found: Bools1) -> None:
+    """Write :func:`_within` of points (b, 3)."""
+    for b in range(len(found)):
+        found[b] = _within((point[b, 0], point[b, 1], point[b, 2]), sides)
 
 
 @compiled
@@ -142,7 +146,8 @@ def _from_wall(
     normal = unit(difference(at_strand, moved(begin, there, difference(end, begin))))
     reach = min(dot(near, normal), dot(far, normal))
     wall = max(dot(begin, normal), dot(end, normal))
-    moves, swing = piece_movement(cable, piece, normal, here), piece.swing
+    largest, swing = largest_movement(cable, piece, normal), piece.swing
+    moves = piece_movement(cable, piece, normal, here, largest)
     low = reach - wall - piece.bow - moves.piece - radius - swing.most
     high = np.sqrt(square) + piece.bow - moves.tracking - radius - swing.least
     return low, high, moves.point - moves.tracking + (swing.most - swing.now)

@@ -21,6 +21,7 @@ from swarm.certification.strand_pieces import (
     HeldCable,
     Part,
     held_piece,
+    largest_movement,
     piece_movement,
     strand_point,
 )
@@ -142,7 +143,9 @@ def _lowest(cable: CableTables, segment: int, instant: Instant) -> tuple[float, 
     catenary, level_slope = strand.catenary, strand.heading[2] / cable.down[2]
     along = (level_slope - catenary.slope) * catenary.parameter / catenary.length
     along = min(max(along, 0.0), 1.0)
-    moved = piece_movement(cable, piece, (0.0, 0.0, 1.0), along).piece + piece.swing.most
+    normal = 0.0, 0.0, 1.0
+    largest = largest_movement(cable, piece, normal)
+    moved = piece_movement(cable, piece, normal, along, largest).piece + piece.swing.most
     return moved, strand_point(strand, cable.down, along)
 
 

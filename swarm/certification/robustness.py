@@ -151,13 +151,13 @@ class _Search:
         """
         while bad - good > step:
             middle = 0.5 * (good + bad)
-            if middle <= most and self._hold_in_tight_boxes(middle):
+            if middle <= most and self._all_hold_in_tight_boxes(middle):
                 good = middle
             else:
                 bad = middle
         return good, bad
 
-    def _hold_in_tight_boxes(self, value: float) -> bool:
+    def _all_hold_in_tight_boxes(self, value: float) -> bool:
         """Return whether all families hold there; the one that does not comes first from then.
 
         One that held for a larger value is taken to hold: the result is certified in all boxes.

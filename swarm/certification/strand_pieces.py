@@ -261,12 +261,15 @@ def _end_motion(
 
 
 @inner
-def piece_movement(cable: CableTables, piece: Piece, normal: Vector, along: float) -> Movement:
+def piece_movement(
+    cable: CableTables, piece: Piece, normal: Vector, along: float, largest: float
+) -> Movement:
     """Return bounds of the movement of a piece along a unit vector.
 
     ``along`` is the fraction of the chord at which the single point lies. Its bounds separate the
     uncertainty of the piece's size from that of the interval. Each bound is the smaller of two: by
-    the sensitivity of all shapes, and by the strand's own linear response.
+    the sensitivity of all shapes, for the piece the :func:`largest_movement`, and by the strand's
+    own linear response.
     """
     strand, motion, begin, end = piece.strand.catenary, piece.end_motion, piece.begin, piece.end
     relative, total = motion.relative, motion.total
@@ -276,7 +279,7 @@ def piece_movement(cable: CableTables, piece: Piece, normal: Vector, along: floa
         EndMovement(motion.ends, total, relative), cable.curvature,
     )  # fmt: skip
     finest, ball = finest_piece(piece.number, fraction), motion.relative_tracking
-    of_piece = _of_all_shapes(cable, piece, up, piece.number, (total, relative))
+    of_piece = largest
     of_point = _of_all_shapes(cable, piece, up, finest, (total, relative))
     by_tracking = _of_all_shapes(cable, piece, up, finest, (motion.tracking, ball))
     if at_point < np.inf:

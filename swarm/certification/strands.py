@@ -82,14 +82,15 @@ def _write_margins(
         first, second = pairs.segments[boxes.group[b]]
         instant = instant_at(cable.motion, middle[0], half[0])
         grips = ends_at(cable.motion, instant, first)
+        ends, other_ends = BOTH_ENDS, BOTH_ENDS
         if second == first + 1:
-            others, far_end = (grips[1], grip_at(cable.motion, instant, second + 1)), FAR_END
-            near_end = NEAR_END
+            ends, other_ends = NEAR_END, FAR_END
+            others = grips[1], grip_at(cable.motion, instant, second + 1)
         else:
-            others, near_end, far_end = ends_at(cable.motion, instant, second), BOTH_ENDS, BOTH_ENDS
-        displacement = _displacement(cable.tracking, grips, others, near_end)
+            others = ends_at(cable.motion, instant, second)
+        displacement = _displacement(cable.tracking, grips, others, ends)
         one = held_piece(cable, first, grips, instant, part, displacement)
-        displacement = _displacement(cable.tracking, grips, others, far_end)
+        displacement = _displacement(cable.tracking, grips, others, other_ends)
         other = held_piece(cable, second, others, instant, other_part, displacement)
         _write_margin(cable, (one, other), (required, boxes.enough), chords, b, found)
 
@@ -147,12 +148,14 @@ def _write_margin(
     reach_other = max(dot(other.near, normal), dot(other.far, normal))
     swing, swing_other, bows = one.swing, other.swing, one.bow + other.bow
     chords_apart = reach - reach_other - bows
-    most = largest_movement(cable, one, normal) + largest_movement(cable, other, normal)
-    found.low[b] = chords_apart - most - (swing.most + swing_other.most) - required
+    largest = largest_movement(cable, one, normal)
+    largest_other = largest_movement(cable, other, normal)
+    most = largest + largest_other + swing.most + swing_other.most
+    found.low[b] = chords_apart - most - required
     if found.low[b] >= enough:
         return
-    moves = piece_movement(cable, one, normal, here)
-    moves_other = piece_movement(cable, other, normal, there)
+    moves = piece_movement(cable, one, normal, here, largest)
+    moves_other = piece_movement(cable, other, normal, there, largest_other)
     most = moves.piece + moves_other.piece + swing.most + swing_other.most
     least = moves.tracking + moves_other.tracking + swing.least + swing_other.least
     found.low[b] = chords_apart - most - required

@@ -189,15 +189,15 @@ def test_the_tube_is_the_same_after_a_coarse_one_which_is_narrower(
     coarse, again = coarse_tube(shaped), swing_tube(shaped)
     assert coarse is not None
     assert again is not None
-    for found, kept in zip(tables(again), tables(tube), strict=True):
+    for found, kept in zip(arrays_of(again), arrays_of(tube), strict=True):
         assert np.array_equal(found, kept)
-    for found, kept in zip(tables(coarse), tables(tube), strict=True):
+    for found, kept in zip(arrays_of(coarse), arrays_of(tube), strict=True):
         assert (found <= kept).all()
     assert coarse.approach.sum() < tube.approach.sum()
     assert np.array_equal(coarse.ordinary.pieces, tube.ordinary.pieces)
 
 
-def tables(tube: SwingTube) -> tuple[np.ndarray, ...]:
+def arrays_of(tube: SwingTube) -> tuple[np.ndarray, ...]:
     return tube.planned, tube.approach, tube.all_changes.pieces
 
 
