@@ -76,9 +76,10 @@ def test_slowing_that_lost_setpoints_do_not_need_is_undone_where_it_was_slowed()
 
 
 def test_a_fold_beyond_the_endurance_is_slowed_no_more_than_losses_need() -> None:
-    plan = make_plan(mission_for_knot("4_1"))
+    # of 5_2, which is slowed by 5 to 7 s too much: that of 4_1 depends on the CPU, 0.05 to 0.2 s
+    plan = make_plan(mission_for_knot("5_2"))
     usual = timed_for_losses(plan).plan
-    vehicles = plan.mission.vehicles.model_copy(update={"endurance": usual.flight_duration - 0.1})
+    vehicles = plan.mission.vehicles.model_copy(update={"endurance": usual.flight_duration - 1.0})
     mission = plan.mission.model_copy(update={"vehicles": vehicles})
     quick = timed_for_losses(replace(plan, mission=mission)).plan
     assert quick.flight_duration < vehicles.endurance
