@@ -3,7 +3,7 @@
 Both strands of a pair swing in the same motion: strands that swing together keep their distance.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache, partial
 from typing import NamedTuple
 
@@ -13,6 +13,8 @@ import numpy.typing as npt
 from swarm.certification.compared_pairs import all_pairs
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import norms, polyline_polyline
+from swarm.geometry.linear_response import linear_response
+from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
 from swarm.jit import compiled
 from swarm.planning import Plan
 from swarm.signatures import Floats1, Floats2, Floats3, Floats4, Ints1, Ints2, contiguous
@@ -34,7 +36,8 @@ class ClosePairs:
 
     ``bins`` are the numbers of the intervals in the middle of which they were found, ascending;
     ``fractions`` those of the length; ``normal`` points from the second to the first strand,
-    ``available`` is the distance between surfaces in metres.
+    ``available`` is the distance between surfaces in metres, and ``left`` what tracking errors
+    leave of it beyond the required one, to first order.
     """
 
     bins: Ints
@@ -43,6 +46,23 @@ class ClosePairs:
     fractions: Floats
     normal: Floats
     available: Floats
+    left: Floats
+
+    def taken(self, where: Ints) -> "ClosePairs":
+        """Return some of the pairs, in the same order."""
+        return ClosePairs(*(getattr(self, each.name)[where] for each in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class PairSwing:
+    """How much nearer the strands of ``close`` pairs come as both swing, (r,) metres.
+
+    In the planned motion from ``start`` on, and after changes of the clock's rate.
+    """
+
+    start: float
+    close: ClosePairs
+    approach: Floats
 
 
 def close_pairs(plan: Plan, times: Floats, exempt: float) -> ClosePairs:
@@ -71,10 +91,30 @@ def close_pairs(plan: Plan, times: Floats, exempt: float) -> ClosePairs:
     rows, normal, size = (np.concatenate(parts) for parts in zip(*found, strict=True))
     order = np.argsort(rows[:, 0], kind="stable")
     rows, normal, size = rows[order], normal[order], size[order]
-    return ClosePairs(
-        rows[:, 0], times[rows[:, 0]], rows[:, 1:3], rows[:, 3:] / PIECES, normal,
-        size - plan.mission.cable.diameter,
-    )  # fmt: skip
+    pairs, fractions = rows[:, 1:3], rows[:, 3:] / PIECES
+    available = size - plan.mission.cable.diameter
+    tracking = _tracking(plan, place[rows[:, 0]], pairs, fractions, normal)
+    left = available - tracking - plan.mission.clearance.cable
+    return ClosePairs(rows[:, 0], times[rows[:, 0]], pairs, fractions, normal, available, left)
+
+
+def _tracking(plan: Plan, place: Floats, pairs: Ints, fractions: Floats, normal: Floats) -> Floats:
+    """Return the largest approach (r,) of pairs by tracking errors of the team, at ``place``
+    (r, n, 3)."""
+    rows = np.arange(len(pairs))
+    neighbours = pairs[:, 1] == pairs[:, 0] + 1
+    total = np.zeros(len(rows))
+    for side, alone in enumerate((NEAR_END, FAR_END)):
+        segment, fraction = pairs[:, side], fractions[:, side]
+        ends, lengths = (place[rows, segment], place[rows, segment + 1]), plan.layout.lengths
+        found = linear_response(
+            solve_catenaries(*ends, lengths[segment]), fraction,
+            np.where(neighbours, alone, BOTH_ENDS), normal, (fraction, fraction),
+            np.zeros(len(rows)),
+        )  # fmt: skip
+        moved = np.where(found.known, found.at_point, 1.0)
+        total += np.where(neighbours, 2.0, 1.0) * moved
+    return plan.mission.vehicles.tracking * total
 
 
 def _box(points: Floats, strand: int, first: int, last: int) -> tuple[Floats, Floats]:

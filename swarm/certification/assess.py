@@ -88,7 +88,7 @@ def assess(
     stream_loss = None if refused else certify_stream_loss(plan)
     findings += stream_loss.findings() if stream_loss else []
     findings += endurance_findings(plan, stream_loss.delay if stream_loss else 0.0)
-    rows = smallest_budgets(plan, tube) if tube else budgets(plan, moments)
+    rows = smallest_budgets(plan, tube.pairs) if tube else budgets(plan, moments)
     budget = tuple(sorted(rows, key=lambda row: row.remaining))[:BUDGETS]
     assessment = Assessment(
         findings=(),

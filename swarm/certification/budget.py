@@ -19,7 +19,7 @@ from swarm.certification.air import (
     jet_width,
     wind_down,
 )
-from swarm.certification.approaches import PIECES
+from swarm.certification.approaches import PIECES, PairSwing
 from swarm.certification.clearances import STILL_AIR, Moment, Place
 from swarm.certification.compared_pairs import all_pairs, exempt_length
 from swarm.certification.excitation import (
@@ -30,7 +30,7 @@ from swarm.certification.excitation import (
     speeds_across,
     variances_along,
 )
-from swarm.certification.swing_tube import SwingTube, swing_tube
+from swarm.certification.swing_tube import swing_tube
 from swarm.certification.tube_radii import BIN
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
 from swarm.geometry.distance import polyline_polyline
@@ -149,15 +149,16 @@ class _Strand:
 def budgets(plan: Plan, moments: Iterable[Moment]) -> tuple[Budget, ...]:
     """Return the rows for moments between two strands, in the given order."""
     tube = swing_tube(plan)
+    swing = tube.pairs if tube else None
     return tuple(
-        budget_at(plan, moment.between, moment.time, moment.required, tube)
+        budget_at(plan, moment.between, moment.time, moment.required, swing)
         for moment in moments
         if moment.check in {"cable clearance", "neighbouring segments"}
     )
 
 
 def budget_at(
-    plan: Plan, between: tuple[str, str], time: float, required: float, tube: SwingTube | None
+    plan: Plan, between: tuple[str, str], time: float, required: float, pairs: PairSwing | None
 ) -> Budget:
     """Return the row of two segments, by their names, at a mission time."""
     mission = plan.mission
@@ -171,7 +172,7 @@ def budget_at(
     else:
         total = radius * sum(strand.response() for strand in strands)
     bodily = min(2.0 * radius, total)
-    swing, excited = _swing(plan, time, acceleration, strands, tube)
+    swing, excited = _swing(plan, time, acceleration, strands, pairs)
     return Budget(
         between=between,
         time=time,
@@ -208,25 +209,25 @@ def _swing(
     time: float,
     acceleration: Floats,
     strands: tuple["_Strand", "_Strand"],
-    tube: SwingTube | None,
+    pairs: PairSwing | None,
 ) -> tuple[float, float]:
     """Approach by swing, and by the swing that tracking errors excite.
 
     In flight both come together; in a long hold the first has decayed, and the second has grown to
-    what air damps. The larger sum counts. Without a tube strands lean and stop.
+    what air damps. The larger sum counts. Where it is not known strands lean and stop.
     """
-    if tube is None:
+    if pairs is None:
         sway = sum(
             abs(strand.movement(down=effective_gravity(0.5 * (by[0] + by[1]))))
             for strand in strands
             for by in [acceleration[strand.segment : strand.segment + 2]]
         )
         return sway + _stop(strands, plan.mission.vehicles.braking_acceleration), 0.0
-    close = tube.close
+    close = pairs.close
     near = (close.pairs == [strand.segment for strand in strands]).all(axis=1)
     near &= np.abs(close.times - time) <= BIN
-    swing = float(tube.approach[near].max(initial=0.0))
-    found = [_excited(plan, time, strand, tube.start) for strand in strands]
+    swing = float(pairs.approach[near].max(initial=0.0))
+    found = [_excited(plan, time, strand, pairs.start) for strand in strands]
     moving = DEVIATIONS * math.sqrt(sum(one.moving for one in found))
     held = DEVIATIONS * math.sqrt(sum(one.held for one in found))
     return (swing, moving) if swing + moving > held else (0.0, held)

@@ -8,13 +8,14 @@ trajectories, the air is still, and the cable is at rest when it comes aloft.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
 from swarm.certification.cable_spans import cable_spans
+from swarm.certification.tube_radii import BIN
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
 from swarm.geometry.lumped_mass import Strands, SwingModel, cable_model
 from swarm.jit import compiled
@@ -26,7 +27,7 @@ from swarm.threads import side_by_side
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
-Beginnings = Literal["all", "even", "odd"]
+Flags = npt.NDArray[np.bool_]
 
 STEP = COURSE_STEP
 """Seconds of a step of the simulation: strays of shaped default missions differ by less than 0.5 mm
@@ -104,6 +105,30 @@ class Swung:
     times: Floats
     strays: Floats
     course: Course | None
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """Strands (k, n − 1) whose swing is wanted in each interval of BIN seconds from ``start``."""
+
+    start: float
+    strands: Flags
+
+    def during(self, times: Floats) -> Flags:
+        """Return the strands (n − 1,) that are wanted anywhere between mission times."""
+        ends = (np.array([times.min(), times.max()]) - self.start) / BIN
+        first, last = np.minimum(ends.astype(np.intp), len(self.strands) - 1)
+        return np.asarray(self.strands[first : last + 1].any(axis=0))
+
+
+class _Group(NamedTuple):
+    """Courses (c, …) that are simulated together, with the numbers of their first states and the
+    strands that are wanted."""
+
+    course: Course
+    times: Floats
+    first: Ints
+    wanted: Flags
 
 
 def aloft(plan: Plan) -> tuple[float, float] | None:
@@ -214,7 +239,7 @@ def planned_swing(plan: Plan, span: tuple[float, float]) -> PlannedSwing:
 
     states = tuple(side_by_side(states_of, strands))
     joints = [each[:, 1] for each in states]
-    strays = _strays(strands, joints, ends[::compared])
+    strays = _strays(strands, joints, ends[::compared], model.links)
     return PlannedSwing(Swung(times[None, ::compared], strays[None], None), times, strands, states)
 
 
@@ -223,25 +248,25 @@ def swings_after(
     span: tuple[float, float],
     planned: PlannedSwing,
     changes: Sequence[Course],
-    beginnings: Beginnings = "all",
+    wanted: Wanted | None = None,
 ) -> Iterator[Swung]:
     """Yield the swings after changes of the clock's rate, several courses together.
 
-    From all ``beginnings``, or from every other one, the first of which is ``even``.
+    Strands that are not ``wanted`` at the times of these courses are not simulated: their strays
+    are 0.
     """
     limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
     strands, model = planned.strands, planned.strands[-1].model
     certified, compared = plan.mission.fold.certifies_swing, steps_between_compared(model)
+    everywhere = np.ones(len(plan.layout.lengths), np.bool_)
 
-    def groups() -> Iterator[tuple[Course, Floats, Ints]]:
+    def groups() -> Iterator[_Group]:
         for course in changes:
             apart = course.apart
             if certified and not course.urgent:
                 apart = min(apart, _CERTIFIED_APART)
             steps = compared * round(apart / COMPARED)
             chosen = np.arange(0, len(planned.times) - 1, steps)
-            if beginnings != "all":
-                chosen = chosen[("even", "odd").index(beginnings) :: 2]
             times = limits.course(
                 planned.times[chosen], course.rate, course.target, course.duration,
                 urgent=course.urgent,
@@ -249,19 +274,25 @@ def swings_after(
             times = np.clip(_with_step(times, model.step), span[0], span[1])
             for first in range(0, len(chosen), _TOGETHER):
                 some = slice(first, first + _TOGETHER)
-                yield course, times[some], chosen[some] // compared
+                here = everywhere if wanted is None else wanted.during(times[some])
+                if here.any():
+                    yield _Group(course, times[some], chosen[some] // compared, here)
 
-    def swung(group: tuple[Course, Floats, Ints]) -> Swung:
-        course, times, first = group
+    def swung(group: _Group) -> Swung:
+        course, times = group.course, group.times
         ends = plan.motion.places(times)
-        joints = []
-        for some, states in zip(strands, planned.states, strict=True):
-            begun = states[first]
+        simulated, joints = [], []
+        for every, states in zip(strands, planned.states, strict=True):
+            here = np.flatnonzero(group.wanted[every.segments])
+            if not len(here):
+                continue
+            some, begun = every.taken(here), states[group.first][:, :, here]
             if course.rate == 0.0:
                 begun = np.stack([some.at_rest(places) for places in ends[:, 0]])
             moved = ends[:, :: round(some.model.step / model.step)]
             joints.append(some.swing_on_each(begun, moved, steps_between_compared(some.model)))
-        strays = _strays(strands, joints, ends[:, ::compared])
+            simulated.append(some)
+        strays = _strays(simulated, joints, ends[:, ::compared], model.links)
         return Swung(times[:, ::compared], strays, course)
 
     return side_by_side(swung, groups())
@@ -282,14 +313,15 @@ def _times(span: tuple[float, float], step: float) -> Floats:
     return found
 
 
-def _strays(strands: Sequence[Strands], joints: Sequence[Floats], ends: Floats) -> Floats:
+def _strays(
+    strands: Sequence[Strands], joints: Sequence[Floats], ends: Floats, links: int
+) -> Floats:
     """Return the strays (…, n − 1, links + 1, 3) of joints from their catenaries, metres.
 
-    ``joints`` (…, s, links + 1, 3) are those of each of ``strands``, the finest last: the strays of
-    few links are interpolated where there is no joint.
+    ``joints`` (…, s, …, 3) are those of each of ``strands``; the strays of fewer links are
+    interpolated where there is no joint. Those of segments with no strand are 0.
     """
-    links = strands[-1].model.links
-    found = np.empty((*ends.shape[:-2], ends.shape[-2] - 1, links + 1, 3))
+    found = np.zeros((*ends.shape[:-2], ends.shape[-2] - 1, links + 1, 3))
     for some, swung in zip(strands, joints, strict=True):
         begin, fractions = some.segments, np.linspace(0.0, 1.0, some.model.links + 1)
         still = solve_catenaries(ends[..., begin, :], ends[..., begin + 1, :], some.lengths)

@@ -88,6 +88,10 @@ class Strands:
         """Return all strands of a chain, of lengths (n − 1,)."""
         return cls(np.arange(len(lengths)), lengths, model)
 
+    def taken(self, where: Ints) -> "Strands":
+        """Return some of the strands."""
+        return Strands(self.segments[where], self.lengths[where], self.model)
+
     def at_rest(self, ends: Floats) -> Floats:
         """Return the state (2, s, links + 1, 3) of strands that hang still at grip points (n, 3).
 

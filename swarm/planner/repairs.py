@@ -7,8 +7,6 @@ import numpy as np
 
 from swarm.certification.air import sinkings
 from swarm.certification.clearances import Moment, violations
-from swarm.certification.smallest_budgets import ShortBudget, short_moments
-from swarm.certification.swing_tube import SwingTube, coarse_tube, swing_tube
 from swarm.planner.pacing import (
     PacedPlan,
     exceeds_endurance,
@@ -16,6 +14,7 @@ from swarm.planner.pacing import (
     slowed_for_swing,
     timed_for_losses,
 )
+from swarm.planner.short_budgets import COMPLETE, ShortBudgets, complete_budgets, short_budgets
 from swarm.planning import Plan
 from swarm.planning.candidates import Candidate, repaired
 from swarm.planning.repair import Shortfall
@@ -62,21 +61,37 @@ class Kept:
 
     candidate: Candidate
     paced: PacedPlan
-    budget: Sequence[Shortfall] | None
+    budget: ShortBudgets | None
     sinking: Sequence[Shortfall]
     shares: tuple[float, ...] = _SHARES
 
     @property
     def shortfalls(self) -> list[Shortfall]:
         """What a repair should mend."""
-        return [*(self.budget or ()), *self.sinking]
+        moments = self.budget.moments if self.budget else ()
+        short = [Shortfall(one.check, one.time, one.metres) for one in moments]
+        return [*short, *self.sinking]
+
+    @property
+    def short(self) -> bool:
+        """Whether its budget is known to be short."""
+        return self.budget is not None and bool(self.budget.moments)
+
+    @property
+    def closes(self) -> bool:
+        """Whether its whole budget is known to close."""
+        return self.budget is not None and not self.short and self.budget.stage == COMPLETE
 
     def with_budget(self) -> "Kept":
-        """Return it with its budget, whose repairs are not tried yet where it is short."""
-        if self.budget is not None:
+        """Return it with its budget, of all pairs where that of near ones closes.
+
+        Its repairs are not tried yet where it is found to be short.
+        """
+        if self.short or self.closes:
             return self
-        budget = _short_budget(self.paced.plan)
-        return replace(self, budget=budget, shares=_SHARES if budget else self.shares)
+        near = short_budgets(self.paced.plan) if self.budget is None else self.budget
+        found = near if near.moments else complete_budgets(self.paced.plan)
+        return replace(self, budget=found, shares=_SHARES if found.moments else self.shares)
 
 
 @dataclass(frozen=True)
@@ -150,7 +165,7 @@ def repair(
                 tried = repaired(tried, [_shortfall(moment) for moment in failures])
             else:
                 if not kept or _fold_time(paced.plan) <= longer * _fold_time(kept[0].paced.plan):
-                    kept.append(_keep(tried, paced, closed=bool(kept) and not kept[-1].budget))
+                    kept.append(_keep(tried, paced, closed=bool(kept) and not kept[-1].short))
                 tried = None
         if tried is None and kept:
             tried, kept = _repaired_again(kept)
@@ -164,17 +179,17 @@ def repair(
 def _repaired_again(kept: Sequence[Kept]) -> tuple[Candidate | None, list[Kept]]:
     """Return the next candidate after plans that keep all clearances, and these.
 
-    The budget of the last is computed once nothing is left to repair without it: it takes the
-    longest of all, and repairs for jets alone seldom open it again. Where it stays short, the best
-    plan is slowed for it, and then repaired for jets alone.
+    The complete budget of the last is computed once nothing is left to repair without it: it takes
+    the longest of all, and repairs for jets alone seldom open it again. Where it stays short, the
+    best plan is slowed for it, and then repaired for jets alone.
     """
     *before, last = kept
     found = None
     if len(kept) <= _rounds(last) and not _idle(kept):
         found, last = _led_apart(last)
-    if found is None and last.budget is None:
+    if found is None and not last.short and not last.closes:
         return _repaired_again([*before, last.with_budget()])
-    slowed = _closed_by_slowing([*before, last]) if found is None and last.budget else None
+    slowed = _closed_by_slowing([*before, last]) if found is None and last.short else None
     return _repaired_again([*before, last, slowed]) if slowed else (found, [*before, last])
 
 
@@ -183,21 +198,19 @@ def _closed_by_slowing(kept: Sequence[Kept]) -> Kept | None:
 
     None where that is not enough, or where no jets are left to repair.
     """
-    closed = [one for one in kept if one.budget is not None and not one.budget]
+    closed = [one for one in kept if one.budget is not None and not one.short]
     best = kept[-1] if closed else least_short(kept)
     if not closed and not best.sinking:
         return None
-    paced = slowed_for_budget(best)
-    if _short_budget(paced.plan):
-        return None
-    return Kept(best.candidate, paced, (), _sinking(paced.plan))
+    paced, left = _slowed(best)
+    return None if left.moments else Kept(best.candidate, paced, left, _sinking(paced.plan))
 
 
 def _rounds(kept: Kept) -> int:
     """Return the largest number of repairs of plans that keep all clearances."""
     if kept.candidate.searched:
         return _ROUNDS_SEARCHED
-    return _BUDGET_ROUNDS if kept.budget else _JET_ROUNDS
+    return _BUDGET_ROUNDS if kept.short else _JET_ROUNDS
 
 
 def _idle(kept: Sequence[Kept]) -> bool:
@@ -243,9 +256,9 @@ def least_short(kept: Sequence[Kept]) -> Kept:
     found: list[Kept] = []
     for one in sorted(kept, key=lambda one: _total(one.sinking)):
         found.append(one.with_budget())
-        if not found[-1].budget:
+        if found[-1].closes:
             return found[-1]
-    return min(found, key=lambda one: _total(one.budget or ()))
+    return min(found, key=lambda one: one.budget.total if one.budget else 0.0)
 
 
 def _fold_time(plan: Plan) -> float:
@@ -256,26 +269,8 @@ def _keep(candidate: Candidate, paced: PacedPlan, *, closed: bool) -> Kept:
     """Return what is kept; ``closed`` where the budget of the plan before it closes."""
     # repairs are counted anew from a plan that keeps all clearances
     candidate = replace(candidate, attempt=0)
-    budget = None if closed else _short_budget(paced.plan)
+    budget = None if closed else short_budgets(paced.plan)
     return Kept(candidate, paced, budget, _sinking(paced.plan))
-
-
-def _short_budget(plan: Plan) -> list[Shortfall]:
-    """Return where the budget of a plan is short; nowhere where the mission accepts that.
-
-    By the coarse tube where it is short in that already: the plan has to be repaired anyway. With a
-    quarter of the beginnings instead of half, repairs of the Carrick mat ended where all of them
-    showed 46 short moments. Plans with ``fold.swing`` in metres are small, and so are their tubes.
-    """
-    if plan.mission.limits.accept_negative_budget:
-        return []
-    moments = () if plan.mission.fold.certifies_swing else _short(plan, coarse_tube(plan))
-    moments = moments or _short(plan, swing_tube(plan))
-    return [Shortfall(moment.check, moment.time, moment.metres) for moment in moments]
-
-
-def _short(plan: Plan, tube: SwingTube | None) -> tuple[ShortBudget, ...]:
-    return short_moments(plan, tube) if tube else ()
 
 
 def _sinking(plan: Plan) -> list[Shortfall]:
@@ -292,24 +287,29 @@ def _total(shortfalls: Sequence[Shortfall]) -> float:
 
 def slowed_for_budget(kept: Kept) -> PacedPlan:
     """Return the plan, slowed where its budget is short, while that makes it less so."""
-    best, budget = kept.paced, kept.budget or ()
+    return _slowed(kept)[0]
+
+
+def _slowed(kept: Kept) -> tuple[PacedPlan, ShortBudgets]:
+    """Return the plan as :func:`slowed_for_budget`, and where that of near pairs stays short."""
+    best, budget = kept.paced, kept.budget or short_budgets(kept.paced.plan)
     longest = _longer(kept.candidate) * _fold_time(best.plan)
     for _ in range(_SLOWED):
-        short = _short(best.plan, swing_tube(best.plan)) if budget else ()
-        if not short:
+        if not budget.moments:
             break
-        times, metres, swing = np.array([(one.time, one.metres, one.swing) for one in short]).T
+        short = [(one.time, one.metres, one.swing) for one in budget.moments]
+        times, metres, swing = np.array(short).T
         excess = swing / np.maximum(swing - metres - _RESERVE, swing / _MOST_EXCESS)
         paced = slowed_for_stops(best, times, excess)
         if exceeds_endurance(paced.plan) or _fold_time(paced.plan) > longest:
             break
         if violations(paced.plan):
             break
-        left = _short_budget(paced.plan)
-        if _total(left) >= _total(budget):
+        left = short_budgets(paced.plan)
+        if left.moments and not left.less_short_than(budget):
             break
         best, budget = paced, left
-    return best
+    return best, budget
 
 
 def _led_apart(kept: Kept) -> tuple[Candidate | None, Kept]:
@@ -317,7 +317,7 @@ def _led_apart(kept: Kept) -> tuple[Candidate | None, Kept]:
 
     None where no share that is left can be; the plan is returned with those that are left then.
     """
-    aside = 1.0 if kept.budget else _ASIDE
+    aside = 1.0 if kept.short else _ASIDE
     for number, share in enumerate(kept.shares if kept.shortfalls else (), start=1):
         more = aside * share
         part = [replace(one, metres=more * (one.metres + _RESERVE)) for one in kept.shortfalls]

@@ -15,7 +15,7 @@ from sitl.world import CableSpec
 from swarm.certification.clearances import certified_tube, tightest_moments
 from swarm.certification.swing_findings import swing_findings
 from swarm.certification.swing_runs import COURSES, STEP, Course, aloft, model_of, swings
-from swarm.certification.swing_tube import SwingTube, _tube_of, coarse_tube, swing_tube
+from swarm.certification.swing_tube import WORTH, SwingTube, _tube_of, pair_swings, swing_tube
 from swarm.certification.tube_radii import BIN, radii_over
 from swarm.flight.clock import MissionClock
 from swarm.flight.flight_plan import basis_of
@@ -145,7 +145,7 @@ def test_strands_come_no_nearer_than_the_approach_states(
     shaped: Plan, tube: SwingTube, course: Course
 ) -> None:
     # the same pairs at the same moments, in a change that begins between the simulated ones
-    close, lengths = tube.close, shaped.layout.lengths
+    close, lengths = tube.pairs.close, shaped.layout.lengths
     limits = clock_limits(shaped.motion, shaped.mission.vehicles.braking_acceleration)
     model = replace(model_of(shaped), links=36, step=0.01)
     begin = shaped.phase("fold").start + 31.3
@@ -161,7 +161,7 @@ def test_strands_come_no_nearer_than_the_approach_states(
         i, j = close.pairs[row]
         apart = strays[now, j, at[row, 1]] - strays[now, i, at[row, 0]]
         nearer = (apart @ close.normal[row]).max(initial=0.0)
-        assert nearer <= tube.approach[row]
+        assert nearer <= tube.pairs.approach[row]
 
 
 @pytest.mark.skipif(
@@ -176,29 +176,25 @@ def test_the_tube_is_the_same_on_one_core(shaped: Plan, tube: SwingTube) -> None
     finally:
         os.sched_setaffinity(0, cores)
     assert again is not None
-    for name in ("planned", "approach"):
-        assert np.array_equal(getattr(again, name), getattr(tube, name))
+    assert np.array_equal(again.planned, tube.planned)
+    assert np.array_equal(again.pairs.approach, tube.pairs.approach)
     assert np.array_equal(again.all_changes.pieces, tube.all_changes.pieces)
     assert np.array_equal(again.ordinary.pieces, tube.ordinary.pieces)
 
 
-def test_the_tube_is_the_same_after_a_coarse_one_which_is_narrower(
-    shaped: Plan, tube: SwingTube
-) -> None:
-    _tube_of.cache_clear()
-    coarse, again = coarse_tube(shaped), swing_tube(shaped)
-    assert coarse is not None
-    assert again is not None
-    for found, kept in zip(arrays_of(again), arrays_of(tube), strict=True):
-        assert np.array_equal(found, kept)
-    for found, kept in zip(arrays_of(coarse), arrays_of(tube), strict=True):
-        assert (found <= kept).all()
-    assert coarse.approach.sum() < tube.approach.sum()
-    assert np.array_equal(coarse.ordinary.pieces, tube.ordinary.pieces)
-
-
-def arrays_of(tube: SwingTube) -> tuple[np.ndarray, ...]:
-    return tube.planned, tube.approach, tube.all_changes.pieces
+@pytest.mark.parametrize("limit", [0.06, "auto"])
+def test_near_pairs_swing_as_in_the_tube(shaped: Plan, limit: float | str) -> None:
+    plan = with_limit(shaped, limit)
+    after_stops, after_all = pair_swings(plan)
+    tube = swing_tube(plan)
+    assert tube is not None
+    near = tube.pairs.close.left < WORTH
+    assert 0 < near.sum() < len(near)
+    assert np.array_equal(after_all.close.pairs, tube.pairs.close.pairs[near])
+    assert np.array_equal(after_all.approach, tube.pairs.approach[near])
+    assert (after_stops.approach <= after_all.approach).all()
+    assert after_stops.approach.sum() > 0.9 * after_all.approach.sum()
+    assert after_all.start == tube.pairs.start == tube.start
 
 
 def test_the_cable_does_not_swing_before_it_is_aloft(shaped: Plan) -> None:
