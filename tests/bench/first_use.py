@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-INSTALL = ("python3 -m venv .venv", ".venv/bin/pip install --quiet .")
+INSTALL = ("python3 -m venv .venv", ".venv/bin/pip install --quiet --no-compile .")
 WALKS = {
     "student": (
         *INSTALL,
