@@ -291,7 +291,10 @@ def slowed_for_budget(kept: Kept) -> PacedPlan:
 
 
 def _slowed(kept: Kept) -> tuple[PacedPlan, ShortBudgets]:
-    """Return the plan as :func:`slowed_for_budget`, and where that of near pairs stays short."""
+    """Return the plan as :func:`slowed_for_budget`, and where it stays short.
+
+    Of all pairs where that was known, so that slowing ends where they stay short.
+    """
     best, budget = kept.paced, kept.budget or short_budgets(kept.paced.plan)
     longest = _longer(kept.candidate) * _fold_time(best.plan)
     for _ in range(_SLOWED):
@@ -305,7 +308,7 @@ def _slowed(kept: Kept) -> tuple[PacedPlan, ShortBudgets]:
             break
         if violations(paced.plan):
             break
-        left = short_budgets(paced.plan)
+        left = short_budgets(paced.plan, budget.stage)
         if left.moments and not left.less_short_than(budget):
             break
         best, budget = paced, left

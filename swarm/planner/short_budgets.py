@@ -30,16 +30,14 @@ class ShortBudgets:
         return (-self.stage, self.total) < (-other.stage, other.total)
 
 
-def short_budgets(plan: Plan) -> ShortBudgets:
-    """Return where the budget of near pairs is short; nowhere where the mission accepts that.
-
-    The later stage is not computed where the first shows enough to repair.
-    """
+def short_budgets(plan: Plan, last: int = COMPLETE - 1) -> ShortBudgets:
+    """Return where the budget is short by the first stage that shows it, of near pairs, and of all
+    if ``last`` says so; nowhere where the mission accepts that."""
     found = ShortBudgets((), COMPLETE)
     for found in _stages(plan):
         if found.moments:
-            break
-    return found
+            return found
+    return complete_budgets(plan) if last == COMPLETE else found
 
 
 def complete_budgets(plan: Plan) -> ShortBudgets:
