@@ -13,10 +13,12 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from swarm import planner
 from swarm.certification.air import deepest_sinking
+from swarm.certification.smallest_budgets import ShortBudget
 from swarm.errors import Refused
 from swarm.mission import mission_for_knot, parse_mission
 from swarm.planner.pacing import timed_for_losses
 from swarm.planner.repairs import Kept, least_short, repair
+from swarm.planner.short_budgets import COMPLETE, ShortBudgets
 from swarm.planning import Plan, digest
 from swarm.planning.candidates import candidates, make_plan
 from swarm.planning.repair import Shortfall
@@ -208,12 +210,17 @@ def test_a_closed_budget_counts_first_and_then_the_least_sinking() -> None:
         first = next(candidates(mission))
         paced = timed_for_losses(first.plan)
         low, deep = ([Shortfall("downwash", 60.0, metres)] for metres in (0.01, 0.02))
-        short = Kept(first, paced, [Shortfall("cable clearance", 60.0, 0.001)], ())
-        sinks, sinks_deep = Kept(first, paced, (), low), Kept(first, paced, (), deep)
+        moment = ShortBudget("cable clearance", 60.0, 0.001, 0.1)
+        short = Kept(first, paced, ShortBudgets((moment,), 0), ())
+        closes = ShortBudgets((), COMPLETE)
+        sinks, sinks_deep = Kept(first, paced, closes, low), Kept(first, paced, closes, deep)
         assert least_short([short, sinks_deep, sinks]) is sinks
         assert least_short([short]) is short
         later = Kept(first, paced, None, ())
-        assert least_short([short, sinks, later]).budget == [], "the budget counts once computed"
+        near = Kept(first, paced, ShortBudgets((), 1), ())
+        for unknown in later, near:
+            found = least_short([short, sinks, unknown])
+            assert found == replace(unknown, budget=closes), "the budget counts once computed"
 
 
 @pytest.mark.full
