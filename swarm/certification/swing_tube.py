@@ -109,7 +109,7 @@ def pair_swings(plan: Plan) -> Iterator[PairSwing]:
     """
     named = _Named(digest(plan), plan)
     certified = plan.mission.fold.certifies_swing
-    begun = _ordinary_of(named) if certified else _begun(plan)
+    begun = _ordinary_of(named) if certified else _begun(named)
     if begun is None:
         return
     near = begun.nearer_than(NEAR)
@@ -148,6 +148,7 @@ def _tube_of(named: _Named) -> SwingTube | None:
     """Every call of the certificate's search needs the tube; its plan is told by its digest."""
     ordinary, swings = _ordinary_radii_of(named), _ordinary_of(named)
     _ordinary_of.cache_clear()
+    _begun.cache_clear()
     if swings is None or ordinary is None:
         return None
     swings.collect(swings_after(named.plan, swings.span, swings.planned, _URGENT))
@@ -222,15 +223,20 @@ def _ordinary_radii_of(named: _Named) -> TubeRadii | None:
 def _ordinary_of(named: _Named) -> _Swings | None:
     """The planned motion, ordinary stops and resumes: a third of the swings, which show whether
     the clearances are kept. Kept, 0.1 GB for the Carrick mat, until the others are added."""
-    plan, swings = named.plan, _begun(named.plan)
-    if swings is not None:
-        ordinary = tuple(course for course in COURSES if not course.urgent)
-        swings.collect(swings_after(plan, swings.span, swings.planned, ordinary))
+    begun = _begun(named)
+    if begun is None:
+        return None
+    swings = replace(begun, found=dict(begun.found), approach=begun.approach.copy())
+    ordinary = tuple(course for course in COURSES if not course.urgent)
+    swings.collect(swings_after(named.plan, swings.span, swings.planned, ordinary))
     return swings
 
 
-def _begun(plan: Plan) -> _Swings | None:
-    """Return the swings of the planned motion, and the close pairs."""
+@lru_cache(maxsize=1)
+def _begun(named: _Named) -> _Swings | None:
+    """The swings of the planned motion, and the close pairs, which no caller changes: near pairs
+    and the whole tube begin with them."""
+    plan = named.plan
     span = aloft(plan)
     if span is None:
         return None
