@@ -309,7 +309,9 @@ def _with_step(times: Floats, step: float) -> Floats:
 
 
 def _times(span: tuple[float, float], step: float) -> Floats:
-    found: Floats = np.minimum(np.arange(span[0], span[1] + step, step), span[1])
+    """Return times ``step`` apart, the last of which, the end of the span, is compared too."""
+    count = round(COMPARED / step) * int(np.ceil((span[1] - span[0]) / COMPARED))
+    found: Floats = np.minimum(span[0] + step * np.arange(count + 1), span[1])
     return found
 
 
