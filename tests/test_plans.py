@@ -13,15 +13,16 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from swarm import planner
 from swarm.certification.air import deepest_sinking
+from swarm.certification.clearances import violations
 from swarm.certification.smallest_budgets import ShortBudget
 from swarm.errors import Refused
 from swarm.mission import mission_for_knot, parse_mission
-from swarm.planner.pacing import timed_for_losses
-from swarm.planner.repairs import Kept, least_short, repair
-from swarm.planner.short_budgets import COMPLETE, ShortBudgets
+from swarm.planner.pacing import slowed_for_swing, timed_for_losses
+from swarm.planner.repairs import Kept, _repaired_at_once, least_short, repair
+from swarm.planner.short_budgets import COMPLETE, ShortBudgets, budgets_after_urgent_stops
 from swarm.planning import Plan, digest
 from swarm.planning.candidates import candidates, make_plan
-from swarm.planning.repair import Shortfall
+from swarm.planning.repair import REPAIRABLE, Shortfall
 
 ROOT = Path(__file__).parents[1]
 STILL = ("takeoff", "grab", "contract", "lift", "fold", "hold", "finish", "land")
@@ -194,14 +195,32 @@ def test_a_folding_whose_repairs_ran_out_can_be_repaired_further() -> None:
     mission = mission_for_knot("3_1", ["limits.accept_negative_budget=true"])
     with planner.one_thread():
         last = replace(next(candidates(mission)), attempt=8)
-        ended = repair(last, (), frozenset(), 64)
+        ended = repair(last, (), 64)
         assert not ended.kept
         assert ended.attempts == 1
         assert ended.unfinished is not None
         assert 0.0 < ended.unfinished.short < 1.0
         further = ended.unfinished.repaired()
         assert further is not None
-        assert repair(further, (), frozenset(), 3).kept
+        assert repair(further, (), 3).kept
+
+
+def test_clearances_a_short_budget_and_jets_are_repaired_at_once() -> None:
+    mission = mission_for_knot("3_1", ["limits.accept_negative_budget=false", "fold.swing=0.06"])
+    with planner.one_thread():
+        first = next(candidates(mission))
+        paced = slowed_for_swing(timed_for_losses(first.plan))
+        failures = violations(paced.plan)
+        short = {moment.check for moment in budgets_after_urgent_stops(paced.plan).moments}
+        failing = {moment.check for moment in failures}
+        assert failing
+        assert short - failing, "the budget is short of more than clearances"
+        repaired = _repaired_at_once(replace(first, plan=paced.plan), paced, failures)
+        assert repaired is not None
+        assert repaired.folding is not None
+        for check in failing | short | {"downwash"}:
+            assert getattr(repaired.folding.schedule.extra, REPAIRABLE[check]).max() > 0.0
+        assert _repaired_at_once(replace(first, attempt=8), paced, failures) is None
 
 
 def test_a_closed_budget_counts_first_and_then_the_least_sinking() -> None:

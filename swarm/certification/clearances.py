@@ -123,7 +123,6 @@ def violations(
     plan: Plan,
     checks: Collection[str] | None = None,
     *,
-    without: Collection[str] = (),
     swinging: bool = True,
 ) -> tuple[Moment, ...]:
     """Return the moments at which clearances of the given checks (default: all) do not hold.
@@ -132,11 +131,7 @@ def violations(
     Without ``swinging``, the cable is quasi-static, with ``fold.swing`` in metres too.
     """
     every = families(plan, plan.mission.vehicles.tracking, STILL_AIR, swinging=swinging)
-    chosen = [
-        family
-        for family in every
-        if (checks is None or family.check in checks) and family.check not in without
-    ]
+    chosen = [family for family in every if checks is None or family.check in checks]
     return tuple(chain.from_iterable(side_by_side(_violations, chosen)))
 
 

@@ -123,7 +123,6 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
     certified: list[PlanningResult] = []
     others: list[Kept] = []
     unfinished: list[Unfinished] = []
-    failed_checks: frozenset[str] = frozenset()
     attempts, vehicles = 0, 0
     for candidate in candidates(mission, progress=progress):
         if candidate.plan.vehicles != vehicles:
@@ -135,9 +134,9 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
             break
         if not candidate.searched and _cleared(certified):
             break
-        repairs = repair(candidate, notes, failed_checks, most - attempts)
+        repairs = repair(candidate, notes, most - attempts)
         attempts += repairs.attempts
-        notes, failed_checks = repairs.notes, repairs.failed_checks
+        notes = repairs.notes
         first = first or repairs.first
         too_long += repairs.too_long
         if repairs.kept:
@@ -177,7 +176,7 @@ def _repaired_further(
         again = left.repaired()
         if again is None or _cleared(certified):
             continue
-        repairs = repair(again, notes, frozenset(), _ATTEMPTS)
+        repairs = repair(again, notes, _ATTEMPTS)
         notes = repairs.notes
         if repairs.kept:
             certified.append(_certified(slowed_for_budget(least_short(repairs.kept)), progress))

@@ -40,6 +40,11 @@ def short_budgets(plan: Plan, last: int = COMPLETE - 1) -> ShortBudgets:
     return complete_budgets(plan) if last == COMPLETE else found
 
 
+def budgets_after_urgent_stops(plan: Plan) -> ShortBudgets:
+    """Return where the budget is short by the first stage alone, which shows most of it."""
+    return next(_stages(plan), ShortBudgets((), COMPLETE))
+
+
 def complete_budgets(plan: Plan) -> ShortBudgets:
     """Return where the budget of any pair is short; nowhere where the mission accepts that.
 

@@ -131,6 +131,16 @@ def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterato
         notes = ()
 
 
+def repairable(candidate: Candidate, shortfalls: Sequence[Shortfall]) -> bool:
+    """Return whether larger margins may help a candidate at all its shortfalls."""
+    return (
+        candidate.folding is not None
+        and bool(shortfalls)
+        and all(shortfall.check in REPAIRABLE for shortfall in shortfalls)
+        and not candidate.last_attempt
+    )
+
+
 def repaired(candidate: Candidate, shortfalls: Sequence[Shortfall]) -> Candidate | None:
     """Return the next candidate of the same folding, with larger margins at the shortfalls.
 
@@ -138,12 +148,7 @@ def repaired(candidate: Candidate, shortfalls: Sequence[Shortfall]) -> Candidate
     attempts, or a schedule that cannot keep the larger margins.
     """
     folding = candidate.folding
-    if (
-        folding is None
-        or not shortfalls
-        or any(shortfall.check not in REPAIRABLE for shortfall in shortfalls)
-        or candidate.last_attempt
-    ):
+    if folding is None or not repairable(candidate, shortfalls):
         return None
     schedule = improve(with_larger_margins(folding, candidate.plan, shortfalls))
     if schedule.worst > BEYOND_REPAIR:
