@@ -194,7 +194,7 @@ def test_a_motion_that_exceeds_the_endurance_is_noted_in_the_plan_of_the_next() 
 def test_a_folding_whose_repairs_ran_out_can_be_repaired_further() -> None:
     mission = mission_for_knot("3_1", ["limits.accept_negative_budget=true"])
     with planner.one_thread():
-        last = replace(next(candidates(mission)), attempt=8)
+        last = replace(next(candidates(mission)), attempt=12)
         ended = repair(last, (), 64)
         assert not ended.kept
         assert ended.attempts == 1
@@ -220,7 +220,7 @@ def test_clearances_a_short_budget_and_jets_are_repaired_at_once() -> None:
         assert repaired.folding is not None
         for check in failing | short | {"downwash"}:
             assert getattr(repaired.folding.schedule.extra, REPAIRABLE[check]).max() > 0.0
-        assert _repaired_at_once(replace(first, attempt=8), paced, failures) is None
+        assert _repaired_at_once(replace(first, attempt=12), paced, failures) is None
 
 
 def test_a_closed_budget_counts_first_and_then_the_least_sinking() -> None:

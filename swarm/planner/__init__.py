@@ -26,11 +26,11 @@ from swarm.planning.candidates import candidates
 
 Progress = Callable[[str, float], None]
 
-_ATTEMPTS, _ATTEMPTS_SEARCHED = 64, 32
+_ATTEMPTS, _ATTEMPTS_SEARCHED = 96, 32
 """Largest numbers of plans with a number of vehicles that are checked, of all foldings of a grid
-diagram, and of searched motions. 9_44 is cleared with its third folding, and 8_9 on one of two CPUs
-with its fifth, after four that took 8 each. Where none is cleared, the first of all is returned as
-it is; a search for the fewest goes on with more vehicles."""
+diagram, and of searched motions: repairs of eight foldings may run out, and those of four of 8_9
+did on one of two CPUs. Where none is cleared, the first of all is returned as it is; a search for
+the fewest goes on with more vehicles."""
 
 _FURTHER = 2
 """Foldings that are repaired further where none is cleared, of those whose repairs ran out: all of
