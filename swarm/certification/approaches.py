@@ -17,7 +17,7 @@ from swarm.geometry.linear_response import linear_response
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
 from swarm.jit import compiled
 from swarm.planning import Plan
-from swarm.signatures import Floats1, Floats2, Floats3, Floats4, Ints1, Ints2, contiguous
+from swarm.signatures import Floats1, Floats2, Floats3, Floats4, Floats5, Ints1, Ints2, contiguous
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -184,18 +184,31 @@ def _raise_approaches(which: _Rows, normal: Floats2, strays: Floats4, most: Floa
             most[row] = max(most[row], np.inf if np.isnan(nearer) else nearer)
 
 
-def collect_settling(close: ClosePairs, bin_: int, strays: Floats, most: Floats) -> None:
-    """Raise ``most`` (r,) to the sum of both strands' amplitudes in the rest after a stop.
+def collect_settling(close: ClosePairs, bins: Ints, strays: Floats, most: Floats) -> None:
+    """Raise ``most`` (r,) to the sum of both strands' amplitudes in the rest after each stop.
 
     Strands of unequal periods that begin to swing together swing against each other later, with no
-    more than the amplitudes that air has left. ``strays`` (m, n − 1, links + 1, 3) are those of the
-    last moments of a stop that ends in the interval ``bin_``, over half a period at least.
+    more than the amplitudes that air has left. ``strays`` (c, m, n − 1, links + 1, 3) are those of
+    the last moments of stops that end in the intervals ``bins`` (c,), over half a period at least.
     """
-    first, last = np.searchsorted(close.bins, [bin_ - 1, bin_ + 2])
-    rows = np.arange(first, last)
-    joints = np.rint(close.fractions[rows] * (strays.shape[2] - 1)).astype(np.intp)
-    reached = [
-        np.abs((strays[:, segment, joint] * close.normal[rows]).sum(axis=-1)).max(axis=0, initial=0)
-        for segment, joint in zip(close.pairs[rows].T, joints.T, strict=True)
-    ]
-    most[rows] = np.maximum(most[rows], np.nan_to_num(reached[0] + reached[1], nan=np.inf))
+    joints = np.rint(close.fractions * (strays.shape[3] - 1)).astype(np.intp)
+    first, last = np.searchsorted(close.bins, [bins - 1, bins + 2])
+    which = _Rows(first, last, close.pairs, joints)
+    _raise_amplitudes(which, close.normal, contiguous(strays), most)
+
+
+@compiled
+def _raise_amplitudes(which: _Rows, normal: Floats2, strays: Floats5, most: Floats1) -> None:
+    for c in range(len(which.first)):
+        for row in range(which.first[c], which.last[c]):
+            reached = 0.0
+            for side in range(2):
+                segment, joint = which.pairs[row, side], which.joints[row, side]
+                largest = 0.0
+                for m in range(strays.shape[1]):
+                    aside = strays[c, m, segment, joint, 0] * normal[row, 0]
+                    aside += strays[c, m, segment, joint, 1] * normal[row, 1]
+                    aside += strays[c, m, segment, joint, 2] * normal[row, 2]
+                    largest = max(largest, np.inf if np.isnan(aside) else abs(aside))
+                reached += largest
+            most[row] = max(most[row], reached)

@@ -203,10 +203,8 @@ class _Swings:
             collect_distances(bins.ravel(), strays, most)
             collect_approaches(self.close, bins.ravel(), strays, self.approach)
             if swung.course is not None and swung.course.target == 0.0:
-                for last, strays in zip(
-                    bins[:, -1].tolist(), swung.strays[:, -_LAST:], strict=True
-                ):
-                    collect_settling(self.close, last, strays, self.approach)
+                last = swung.strays[:, -_LAST:]
+                collect_settling(self.close, bins[:, -1], last, self.approach)
 
 
 def _intervals(span: tuple[float, float]) -> int:
