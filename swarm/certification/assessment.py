@@ -1,5 +1,6 @@
 """The result of all checks of a plan, as a frozen value."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -33,6 +34,12 @@ class Robustness:
 
     tracking: float | None = None
     wind: float | None = None
+
+
+def rounded_down(value: float, decimals: int) -> float:
+    """Return a value up to which something holds as it is shown: never more than it holds for."""
+    scale = 10.0**decimals
+    return math.floor(value * scale + 1e-9) / scale
 
 
 @dataclass(frozen=True)

@@ -4,14 +4,13 @@ A certificate carries the digest of the plan that it was computed from. A flight
 together with its certificate and compares both; no other value states that a plan is certified.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import InitVar, dataclass, replace
 
 import numpy as np
 
 from swarm.certification.assess import assess, with_robustness
-from swarm.certification.assessment import Assessment, Robustness
+from swarm.certification.assessment import Assessment, Robustness, rounded_down
 from swarm.certification.clearances import Moment, tightest_moments
 from swarm.certification.findings import Finding
 from swarm.certification.robustness import confirmed
@@ -108,11 +107,10 @@ class Certificate:
         errors = sum(finding.severity == "error" for finding in self.findings)
         if errors:
             words.append(f"{errors} error{'s' if errors > 1 else ''}")
-        # Rounded down: a certificate never states more than it holds for.
         if self.max_tracking_error is not None:
-            words.append(f"e* {math.floor(100.0 * self.max_tracking_error) / 100.0:g} m")
+            words.append(f"e* {rounded_down(self.max_tracking_error, 2):g} m")
         if self.max_wind is not None:
-            words.append(f"w* {math.floor(10.0 * self.max_wind) / 10.0:g} m/s")
+            words.append(f"w* {rounded_down(self.max_wind, 1):g} m/s")
         return words
 
     def of(self, plan: Plan) -> bool:

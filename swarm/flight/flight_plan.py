@@ -5,11 +5,10 @@ their own: a hop and a raised flight carry no cable, a resumed flight was certif
 interrupted, and a comparison stays in the emulator.
 """
 
-import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from swarm.certification.assessment import Assessment
+from swarm.certification.assessment import Assessment, rounded_down
 from swarm.certification.certificate import (
     Certificate,
     CertifiedPlan,
@@ -189,7 +188,7 @@ def require_tracking(basis: Basis, fleet: Fleet) -> None:
     if basis.cable and measured is not None and most is not None and measured > most:
         raise Refused(
             f"fleet {fleet.name}: vehicles were measured with a tracking error of {measured:g} m, "
-            f"the plan holds up to {math.floor(1e3 * most) / 1e3:g} m: plan again with swarm plan "
+            f"the plan holds up to {rounded_down(most, 3):g} m: plan again with swarm plan "
             "--fleet"
         )
 

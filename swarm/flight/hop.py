@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.assessment import rounded_down
 from swarm.certification.certificate import CertifiedPlan, certify, without_cable
 from swarm.certification.findings import Finding
 from swarm.errors import Refused
@@ -177,6 +178,7 @@ def hover_findings(trace: Trace, flight_plan: CertifiedPlan) -> list[Finding]:
     tracking = flight_plan.plan.mission.vehicles.tracking
     limit = flight_plan.assessment.robustness.tracking
     most = tracking if limit is None else max(tracking, limit)
+    held = f"{rounded_down(most, 2):.2f} m"
     found = [_advice(measured, tracking_to_plan_with(measured, vehicles), tracking, most)]
     for one in measured:
         words = (
@@ -184,10 +186,10 @@ def hover_findings(trace: Trace, flight_plan: CertifiedPlan) -> list[Finding]:
             f"most; up {one.up.rms:.3f} m RMS, {one.up.largest:.3f} m at most"
         )
         if one.both.largest > most:
-            words += f"; the plan holds up to {most:.2f} m"
+            words += f"; the plan holds up to {held}"
             found.append(Finding("error", "hop", words))
         elif one.both.largest > tracking:
-            words += f"; the plan is certified for {tracking:g} m, would hold {most:.2f} m"
+            words += f"; the plan is certified for {tracking:g} m, would hold {held}"
             found.append(Finding("warning", "hop", words))
         else:
             found.append(Finding("info", "hop", words))
@@ -210,5 +212,5 @@ def _advice(
     if needed <= tracking:
         return Finding("info", "hop", words)
     if largest <= most:
-        return Finding("warning", "hop", f"{words} and would hold {most:.2f} m")
-    return Finding("error", "hop", f"{words} and holds up to {most:.2f} m")
+        return Finding("warning", "hop", f"{words} and would hold {rounded_down(most, 2):.2f} m")
+    return Finding("error", "hop", f"{words} and holds up to {rounded_down(most, 2):.2f} m")

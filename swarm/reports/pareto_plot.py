@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from swarm.certification.assessment import rounded_down
 from swarm.reports.plots import FAINT_INK, INK, START, STYLE
 
 Point = Mapping[str, Any]
@@ -68,7 +69,7 @@ def _draw_cable_and_time(axes: Axes, points: Sequence[Point]) -> None:
         )
         axes.plot(
             [], [], linestyle="", marker=f"${number}$", color=ink, markeredgewidth=0,
-            label=f"{point['variant']}, e* {error:.3f} m",
+            label=f"{point['variant']}, e* {rounded_down(error, 3):.3f} m",
         )  # fmt: skip
     axes.set(xlabel="cable, m", ylabel="fold, s")
     axes.set_title("Cable, fold time and the largest tracking error e*")

@@ -6,7 +6,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from swarm.certification.assessment import Assessment, Contingencies, Tightest
+from swarm.certification.assessment import Assessment, Contingencies, Tightest, rounded_down
 from swarm.knots.catalog import lookup_knot
 from swarm.planning import Plan
 from swarm.planning.few_vehicles import least_vehicles
@@ -98,10 +98,11 @@ def _check_rows(plan: Plan, assessment: Assessment) -> list[tuple[str, Text | st
     done = "certified" if assessment.cleared else "checked"
     error = f"{done} for {metres(tracking) if tracking > 0 else '0 (geometry only)'}"
     if robustness.tracking is not None:
-        error += f", holds up to {metres(robustness.tracking)} (e*)"
+        error += f", holds up to {metres(rounded_down(robustness.tracking, 2))} (e*)"
     rows: list[tuple[str, Text | str]] = [("tracking error", error)]
     if robustness.wind is not None:
-        rows.append(("steady wind", f"holds up to {robustness.wind:.1f} m/s (w*)"))
+        wind = rounded_down(robustness.wind, 1)
+        rows.append(("steady wind", f"holds up to {wind:.1f} m/s (w*)"))
     if plan.vehicles > 1:
         tightest = (assessment.cable, assessment.vehicle, assessment.vehicle_cable)
         rows += [

@@ -7,6 +7,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from swarm.certification.assessment import rounded_down
+
 _SHOWN_COLUMNS = (
     ("knot", "", "knot"),
     ("vehicles", "d", "n"),
@@ -23,6 +25,9 @@ _SHOWN_COLUMNS = (
     ("cleared", "", ""),
 )
 """Column, format and heading: n vehicles, those of the grid, metres, seconds, and w* in m/s."""
+
+_HELD = frozenset({"max_tracking_error", "max_wind"})
+"""Columns of values up to which a plan is certified."""
 
 
 def print_plan_rows(rows: Sequence[Mapping[str, Any]], console: Console) -> None:
@@ -71,7 +76,7 @@ def print_front(
             f"{point['cell']:.2f} m" if point["cell"] else "–",
             f"{point['cable_length']:.1f} m",
             f"{point['fold_time']:.0f} s",
-            f"{point['max_tracking_error']:.3f} m",
+            f"{rounded_down(point['max_tracking_error'], 3):.3f} m",
             f"{1e3 * point['payload']:.0f} g",
             "[dim]dominated[/]" if point["dominated"] else "",
         )
@@ -83,4 +88,6 @@ def print_front(
 def _cell(name: str, value: Any, form: str) -> str:
     if name == "cleared":
         return "[green]cleared[/]" if value else "[bold red]refused[/]"
+    if name in _HELD and value is not None:
+        value = rounded_down(value, int(form[1]))
     return "–" if value is None else format(value, form)

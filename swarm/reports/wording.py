@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from swarm.certification.assessment import Assessment
+from swarm.certification.assessment import Assessment, rounded_down
 from swarm.certification.findings import Finding
 from swarm.planning import Plan
 from swarm.reports.formatting import metres, number_with_unit, seconds
@@ -53,9 +53,13 @@ def plan_figures(plan: Plan, assessment: Assessment) -> list[tuple[str, object]]
         ("fold", seconds(fold.duration)),
         ("from take-off to the ground", seconds(plan.flight_duration)),
         ("tracking error certified for", metres(plan.mission.vehicles.tracking)),
-        ("largest tracking error e*", number_with_unit(robustness.tracking, "m")),
-        ("largest steady wind w*", number_with_unit(robustness.wind, "m/s")),
+        ("largest tracking error e*", _held(robustness.tracking, "m")),
+        ("largest steady wind w*", _held(robustness.wind, "m/s")),
     ]
+
+
+def _held(value: float | None, unit: str) -> str:
+    return number_with_unit(None if value is None else rounded_down(value, 2), unit)
 
 
 def sorted_findings(assessment: Assessment) -> list[Finding]:

@@ -2,10 +2,11 @@ import io
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from rich.console import Console
 from rich.text import Text
 
-from swarm.certification.assessment import Assessment, Robustness, Tightest
+from swarm.certification.assessment import Assessment, Robustness, Tightest, rounded_down
 from swarm.certification.findings import Finding
 from swarm.flight.operator import REQUESTS
 from swarm.flight.snapshot import Event
@@ -62,6 +63,23 @@ def test_summary_of_a_cleared_plan() -> None:
         "",
         "All checks, tightest moments and budget: swarm plan with --verbose or --report",
     ]
+
+
+def test_summary_never_states_more_than_the_plan_holds_for() -> None:
+    console, held = plain(), Robustness(tracking=0.1099, wind=1.87)
+    print_plan_summary(PLAN, replace(assessment(), robustness=held), console)
+    assert "certified for 0.10 m, holds up to 0.10 m (e*)" in printed(console)
+    assert "holds up to 1.8 m/s (w*)" in printed(console)
+
+
+@pytest.mark.parametrize(
+    ("value", "decimals", "shown"),
+    [(0.29, 2, 0.29), (0.299999, 2, 0.29), (0.3, 2, 0.3), (2.0, 1, 2.0), (0.0, 2, 0.0)],
+)
+def test_values_are_rounded_down_but_not_below_themselves(
+    value: float, decimals: int, shown: float
+) -> None:
+    assert rounded_down(value, decimals) == shown
 
 
 def test_summary_calls_a_layout_a_grid_only_where_it_is_one() -> None:
