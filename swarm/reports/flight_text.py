@@ -1,7 +1,5 @@
 """The outcome of a flight on the terminal."""
 
-from math import isfinite
-
 from rich.console import Console
 from rich.table import Table
 
@@ -12,7 +10,7 @@ from swarm.flight.result import FlightResult
 from swarm.planning import Plan
 from swarm.reports.findings_text import print_verdict
 from swarm.reports.flight_json import outcome_object
-from swarm.reports.formatting import together
+from swarm.reports.formatting import certified_metres, together
 from swarm.reports.verdicts import flight_verdict
 from swarm.reports.wording import CLEARANCES
 from swarm.verification import TrackingStatistics, Verification
@@ -107,7 +105,7 @@ def _clearance_table(verification: Verification, assessment: Assessment) -> Tabl
         table.add_row(
             name,
             f"[{'green' if enough else 'red'}]{flown.distance:.2f} m[/]",
-            f"{certified.distance:.2f} m" if isfinite(certified.distance) else "–",
+            certified_metres(certified.distance),
             f"{certified.required:.2f} m",
             together(flown.between),
         )

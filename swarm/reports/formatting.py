@@ -7,6 +7,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.assessment import rounded_down
 from swarm.flight.snapshot import Event
 from swarm.flight.words import numbers
 
@@ -70,6 +71,12 @@ def together(names: Sequence[str]) -> str:
 def metres(value: float) -> str:
     """Return a length in metres with two decimals; a dash where it is unknown."""
     return f"{value:.2f} m" if math.isfinite(value) else "–"
+
+
+def certified_metres(value: float) -> str:
+    """Return a certified length, of which there is at least as much, as :func:`metres`: rounded
+    down."""
+    return metres(rounded_down(value, 2)) if math.isfinite(value) else metres(value)
 
 
 def seconds(value: float) -> str:

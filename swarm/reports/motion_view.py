@@ -21,7 +21,7 @@ from swarm.flight.trace import Trace
 from swarm.planning import Plan
 from swarm.planning.cable_shape import cable_shape, grip_interval, laid_grip_points
 from swarm.reports import scene
-from swarm.reports.formatting import metres, seconds, together
+from swarm.reports.formatting import certified_metres, metres, seconds, together
 from swarm.reports.plots import along_colours
 
 Floats = npt.NDArray[np.float64]
@@ -146,7 +146,8 @@ def _planned_moments(assessment: Assessment) -> tuple[MarkedMoment, ...]:
     return tuple(
         MarkedMoment(
             one.time,
-            f"{metres(one.distance)} certified, {_in_words(one.between)}, {seconds(one.time)}",
+            f"{certified_metres(one.distance)} certified, {_in_words(one.between)}, "
+            f"{seconds(one.time)}",
             one.between,
         )
         for one in moments

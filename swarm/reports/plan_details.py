@@ -12,7 +12,7 @@ from swarm.certification.budget import Budget
 from swarm.certification.clearances import Moment
 from swarm.planning import Plan
 from swarm.reports.findings_text import findings_table
-from swarm.reports.formatting import metres, seconds, together
+from swarm.reports.formatting import certified_metres, metres, seconds, together
 
 IN_TABLES: Final = frozenset({"tightest", "budget"})
 """Checks whose findings are shown as tables."""
@@ -61,7 +61,7 @@ def _tightest_moments(moments: tuple[Moment, ...]) -> Table:
     for moment in moments:
         table.add_row(
             moment.check,
-            metres(max(moment.distance, 0.0)),
+            certified_metres(max(moment.distance, 0.0)),
             metres(moment.required),
             Text(f"{moment.margin:+.2f} m", "bold red" if moment.margin < 0.0 else "green"),
             seconds(moment.time),

@@ -11,7 +11,7 @@ from swarm.knots.catalog import lookup_knot
 from swarm.planning import Plan
 from swarm.planning.few_vehicles import least_vehicles
 from swarm.reports.findings_text import findings_table, print_verdict, shortened
-from swarm.reports.formatting import metres, seconds, together
+from swarm.reports.formatting import certified_metres, metres, seconds, together
 from swarm.reports.plan_details import print_details
 from swarm.reports.verdicts import plan_verdict
 from swarm.reports.wording import CLEARANCES, knot_in_words
@@ -98,7 +98,7 @@ def _check_rows(plan: Plan, assessment: Assessment) -> list[tuple[str, Text | st
     done = "certified" if assessment.cleared else "checked"
     error = f"{done} for {metres(tracking) if tracking > 0 else '0 (geometry only)'}"
     if robustness.tracking is not None:
-        error += f", holds up to {metres(rounded_down(robustness.tracking, 2))} (e*)"
+        error += f", holds up to {certified_metres(robustness.tracking)} (e*)"
     rows: list[tuple[str, Text | str]] = [("tracking error", error)]
     if robustness.wind is not None:
         wind = rounded_down(robustness.wind, 1)
@@ -112,7 +112,7 @@ def _check_rows(plan: Plan, assessment: Assessment) -> list[tuple[str, Text | st
         ]
     if assessment.budget:
         worst = min(assessment.budget, key=lambda row: row.remaining)
-        words = f"{metres(worst.remaining)} remain if all effects come together, at "
+        words = f"{certified_metres(worst.remaining)} remain if all effects come together, at "
         style = "yellow" if worst.remaining < 0.0 else ""
         rows.append(("budget", Text(words + seconds(worst.time), style)))
     if assessment.contingencies is not None:
@@ -129,6 +129,6 @@ def _contingencies(stops: Contingencies) -> str:
 def _distance(tightest: Tightest) -> Text:
     """Return a certified distance with the required one, its bodies and its time."""
     enough = tightest.distance >= tightest.required
-    text = Text(metres(max(tightest.distance, 0.0)), "green" if enough else "bold red")
+    text = Text(certified_metres(max(tightest.distance, 0.0)), "green" if enough else "bold red")
     words = f", {metres(tightest.required)} required: {together(tightest.between)} at "
     return text.append(words + seconds(tightest.time), "none")

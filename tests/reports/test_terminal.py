@@ -67,7 +67,9 @@ def test_summary_of_a_cleared_plan() -> None:
 
 def test_summary_never_states_more_than_the_plan_holds_for() -> None:
     console, held = plain(), Robustness(tracking=0.1099, wind=1.87)
-    print_plan_summary(PLAN, replace(assessment(), robustness=held), console)
+    cable = Tightest(0.1595, 0.15, 51.3, ("segment 3", "segment 5"))
+    print_plan_summary(PLAN, replace(assessment(), robustness=held, cable=cable), console)
+    assert "0.15 m, 0.15 m required: segments 3 and 5" in printed(console)
     assert "certified for 0.10 m, holds up to 0.10 m (e*)" in printed(console)
     assert "holds up to 1.8 m/s (w*)" in printed(console)
 
