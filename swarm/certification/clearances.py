@@ -7,7 +7,7 @@ with ``fold.swing`` in metres, in the tube around it, too (:mod:`.tube_radii`).
 """
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 
@@ -119,20 +119,14 @@ def tightest_moments(
     return tuple(found)
 
 
-def violations(
-    plan: Plan,
-    checks: Collection[str] | None = None,
-    *,
-    swinging: bool = True,
-) -> tuple[Moment, ...]:
-    """Return the moments at which clearances of the given checks (default: all) do not hold.
+def violations(plan: Plan, *, swinging: bool = True) -> tuple[Moment, ...]:
+    """Return the moments at which clearances do not hold.
 
     For every pair, the worst moment of every second or less in which it fails, for the repair.
     Without ``swinging``, the cable is quasi-static, with ``fold.swing`` in metres too.
     """
     every = families(plan, plan.mission.vehicles.tracking, STILL_AIR, swinging=swinging)
-    chosen = [family for family in every if checks is None or family.check in checks]
-    return tuple(chain.from_iterable(side_by_side(_violations, chosen)))
+    return tuple(chain.from_iterable(side_by_side(_violations, every)))
 
 
 def _violations(family: Family) -> list[Moment]:

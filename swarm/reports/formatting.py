@@ -76,7 +76,7 @@ def metres(value: float) -> str:
 def certified_metres(value: float) -> str:
     """Return a certified length, of which there is at least as much, as :func:`metres`: rounded
     down."""
-    return metres(rounded_down(value, 2)) if math.isfinite(value) else metres(value)
+    return metres(rounded_down(value, 2) if math.isfinite(value) else value)
 
 
 def seconds(value: float) -> str:
