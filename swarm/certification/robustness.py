@@ -65,7 +65,7 @@ def largest_tracking(plan: Plan, moments: Iterable[Moment] = ()) -> float | None
         return {0: lambda: families(plan, error, STILL_AIR)}
 
     tracking = plan.mission.vehicles.tracking
-    search = _Search(cases, _tight_times(moments))
+    search = _Search(cases, moments)
     return _largest(search, tracking, _all_hold(moments), MOST_TRACKING, TRACKING_STEP)
 
 
@@ -77,7 +77,7 @@ def largest_wind(plan: Plan, moments: Iterable[Moment] = ()) -> float | None:
     the certificate does not hold in still air. ``moments`` as for :func:`largest_tracking`.
     """
     moments = tuple(moments)
-    search = _Search(lambda speed: _windy(plan, speed), _tight_times(moments))
+    search = _Search(lambda speed: _windy(plan, speed), moments)
     return _largest(search, 0.0, _all_hold(moments), MOST_WIND, WIND_STEP)
 
 
@@ -134,57 +134,68 @@ _WINDLESS = frozenset(
 
 
 class _Search:
-    """Tries values, first in the boxes in which earlier values failed."""
+    """Tries values, first in the boxes in which earlier values failed, and at tight ``moments``."""
 
-    def __init__(self, cases: Callable[[float], Cases], tight: "Tight") -> None:
+    def __init__(self, cases: Callable[[float], Cases], moments: tuple[Moment, ...]) -> None:
         self._cases = cases
         self._families = cache(lambda value, case: cases(value)[case]())
-        self._tight = tight
+        self._tight = _tight_times(moments)
+        self._margins: dict[str, float] = {}
+        for moment in moments:
+            least = self._margins.get(moment.check, math.inf)
+            self._margins[moment.check] = min(least, moment.margin)
         self._failed: dict[tuple[int, int], set[tuple[int, float]]] = {}
-        self._worst = (0, 0)
+        self._worst: tuple[int, int] | None = None
         self._held: dict[tuple[int, int], float] = {}
 
     def narrowed(self, good: float, bad: float, most: float, step: float) -> tuple[float, float]:
         """Return the largest value that holds in the tight boxes, and a value ``step`` above it.
 
-        ``good`` holds everywhere, ``bad`` fails or is above ``most``.
+        ``good`` holds everywhere, ``bad`` fails or is above ``most``. Each family is tried at the
+        largest value that the ones before hold at, and only one that fails there is bisected: most
+        are tried once. One that holds at a value is taken to hold at smaller ones: the result is
+        certified in all boxes.
         """
-        while bad - good > step:
-            middle = 0.5 * (good + bad)
-            if middle <= most and self._all_hold_in_tight_boxes(middle):
-                good = middle
+        halvings = math.ceil(math.log2((bad - good) / step))
+        step = (bad - good) / 2**halvings
+        largest = min(2**halvings - 1, math.floor((most - good) / step))
+        for which in self._likely_first(good + largest * step):
+            held = self._most_steps(which, largest, good, step)
+            if held < largest:
+                largest, self._worst = held, which
+        return good + largest * step, good + (largest + 1) * step
+
+    def _most_steps(self, which: tuple[int, int], most: int, good: float, step: float) -> int:
+        """Return the largest number of steps above ``good``, of at most ``most``, that hold."""
+        held, failed = 0, most + 1
+        tried = most
+        while failed - held > 1:
+            if self._holds_in_tight_boxes(which, good + tried * step):
+                held = tried
             else:
-                bad = middle
-        return good, bad
-
-    def _all_hold_in_tight_boxes(self, value: float) -> bool:
-        """Return whether all families hold there; the one that does not comes first from then.
-
-        One that held for a larger value is taken to hold: the result is certified in all boxes.
-        """
-        for which in self._likely_first(value):
-            if value <= self._held.get(which, -math.inf):
-                continue
-            if not self._holds_in_tight_boxes(which, value):
-                self._worst = which
-                return False
-            self._held[which] = value
-        return True
+                failed = tried
+            tried = (held + failed) // 2
+        return held
 
     def _holds_in_tight_boxes(self, which: tuple[int, int], value: float) -> bool:
+        if value <= self._held.get(which, -math.inf):
+            return True
         case, index = which
         family = self._families(value, case)[index]
         tight = self._failed.setdefault(which, self._tight_of(family))
-        return not tight or holds(family.evaluate, _boxes(family, tight))
+        found = not tight or holds(family.evaluate, _boxes(family, tight))
+        if found:
+            self._held[which] = value
+        return found
 
     def _likely_first(self, value: float) -> list[tuple[int, int]]:
-        """All families of all cases, the last failed one first: it likely fails again."""
-        every = [
-            (case, index)
+        """All families of all cases: the last failed one, then those with the least margins."""
+        every = {
+            (case, index): self._margins.get(family.check, math.inf)
             for case in self._cases(value)
-            for index in range(len(self._families(value, case)))
-        ]
-        return sorted(every, key=lambda which: which != self._worst)
+            for index, family in enumerate(self._families(value, case))
+        }
+        return sorted(every, key=lambda which: (which != self._worst, every[which]))
 
     def _tight_of(self, family: Family) -> set[tuple[int, float]]:
         return {
@@ -201,6 +212,7 @@ class _Search:
         for which, found in zip(every, side_by_side(Family.failing, families), strict=True):
             if found is not None:
                 self._failed.setdefault(which, set()).add(found)
+                self._held.pop(which, None)
                 self._worst = which
                 return False
         return True
