@@ -19,7 +19,7 @@ from swarm.errors import Refused
 from swarm.mission import mission_for_knot, parse_mission
 from swarm.planner.pacing import slowed_for_swing, timed_for_losses
 from swarm.planner.repairs import Kept, _repaired_at_once, least_short, repair
-from swarm.planner.short_budgets import COMPLETE, ShortBudgets, budgets_after_urgent_stops
+from swarm.planner.short_budgets import ShortBudgets, budgets_after_urgent_stops
 from swarm.planning import Plan, digest
 from swarm.planning.candidates import candidates, make_plan
 from swarm.planning.repair import REPAIRABLE, Shortfall
@@ -230,13 +230,13 @@ def test_a_closed_budget_counts_first_and_then_the_least_sinking() -> None:
         paced = timed_for_losses(first.plan)
         low, deep = ([Shortfall("downwash", 60.0, metres)] for metres in (0.01, 0.02))
         moment = ShortBudget("cable clearance", 60.0, 0.001, 0.1)
-        short = Kept(first, paced, ShortBudgets((moment,), 0), ())
-        closes = ShortBudgets((), COMPLETE)
+        short = Kept(first, paced, ShortBudgets((moment,), complete=False), ())
+        closes = ShortBudgets((), complete=True)
         sinks, sinks_deep = Kept(first, paced, closes, low), Kept(first, paced, closes, deep)
         assert least_short([short, sinks_deep, sinks]) is sinks
         assert least_short([short]) is short
         later = Kept(first, paced, None, ())
-        near = Kept(first, paced, ShortBudgets((), 1), ())
+        near = Kept(first, paced, ShortBudgets((), complete=False), ())
         for unknown in later, near:
             found = least_short([short, sinks, unknown])
             assert found == replace(unknown, budget=closes), "the budget counts once computed"

@@ -8,7 +8,7 @@ two to three times as far: in the tube with them, no plan of the figure-eight wa
 counts all of them, for strands.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import Any
@@ -54,11 +54,12 @@ MODEL_ERROR = 0.006
 """Metres by which a finer chain strays farther: 2 mm with 96 links and 2.5 ms in the default
 missions with ``fold.swing`` in metres, 6 mm in the overhand without."""
 
-NEAR, NEARER = 0.35, 0.25
+NEAR = 0.35
 """Metres that tracking errors leave of a pair's distance, beyond the required one, from which its
-swing after an urgent stop, and after other changes, is not simulated for repairs. In the first plan
-of the Carrick mat 99 % of close pairs come nearer by less than 0.16 m after urgent stops, 0.11 m
-after the others, but one by 0.4 m: only the tube is complete."""
+swing after an urgent stop is not simulated for repairs. In the first plan of the Carrick mat 99 %
+of close pairs come nearer by less than 0.16 m after urgent stops, but one by 0.4 m: only the tube
+is complete. The other changes of the clock's rate showed no short budget in the default missions
+where urgent stops had shown none."""
 
 _PLANNED = "planned motion"
 """Name of the motion without a change of the clock's rate, beside those of courses."""
@@ -100,26 +101,22 @@ def swing_tube(plan: Plan) -> SwingTube | None:
     return _tube_of(_Named(digest(plan), plan))
 
 
-def pair_swings(plan: Plan) -> Iterator[PairSwing]:
-    """Yield parts of :attr:`SwingTube.pairs` of a plan, first after urgent stops, then after all.
+def swing_after_urgent_stops(plan: Plan) -> PairSwing | None:
+    """Return the part of :attr:`SwingTube.pairs` of a plan that urgent stops of near pairs make.
 
-    Of the pairs that tracking errors bring nearer than NEAR, the second of those nearer than
-    NEARER: no other strands are simulated. The first takes a tenth of the time of the whole tube,
-    the second a quarter. Where budgets are short in them, they are short.
+    Of the pairs that tracking errors bring nearer than NEAR; no other strands are simulated, which
+    takes a tenth of the time of the whole tube. Where budgets are short in it, they are short. None
+    where there is no tube.
     """
     named = _Named(digest(plan), plan)
     certified = plan.mission.fold.certifies_swing
     begun = _ordinary_of(named) if certified else _begun(named)
     if begun is None:
-        return
+        return None
     near = begun.nearer_than(NEAR)
-    changes = _URGENT if certified else COURSES
-    for courses, distance in (changes[:1], NEAR), (changes[1:], NEARER):
-        chosen = near.nearer_than(distance)
-        wanted = _wanted(chosen, len(plan.layout.lengths))
-        chosen.collect(swings_after(plan, chosen.span, chosen.planned, courses, wanted))
-        near.approach[near.close.left < distance] = chosen.approach
-        yield _pairs_of(near)
+    wanted = _wanted(near, len(plan.layout.lengths))
+    near.collect(swings_after(plan, near.span, near.planned, COURSES[:1], wanted))
+    return _pairs_of(near)
 
 
 def _wanted(swings: "_Swings", strands: int) -> Wanted:

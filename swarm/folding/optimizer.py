@@ -142,10 +142,12 @@ class ElasticBand:
 
     ``positions`` (s, n, 3) are without offsets; ``signs`` and ``extra`` are the constraints of the
     moments. ``weights`` (s, c) are the weights of control points, one per stage, at the moments,
-    which include all stages.
+    which include all stages. ``paths`` (c, n, 3) are the positions without offsets at the stages,
+    whose bends cost: a motion that is shaped is nowhere on its paths.
     """
 
     team: TeamGeometry
+    paths: Floats
     positions: Floats
     signs: CrossingSigns
     extra: ExtraMargins
@@ -180,7 +182,7 @@ class ElasticBand:
         base = self.moved(offsets)[moments]
         signs, extra = self.signs[moments], self.extra[moments]
         cache = empty_margin_cache(len(moments), len(self.team.lengths))
-        paths = (self.positions[:: self.density] + offsets)[window].reshape(smooth.shape[0], -1)
+        paths = (self.paths + offsets)[window].reshape(smooth.shape[0], -1)
 
         def cost(flat: Floats) -> tuple[float, Floats]:
             variables = flat.reshape(weights.shape[1], -1)

@@ -94,6 +94,23 @@ class Schedule:
         return positions, slopes, bends
 
 
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """How a schedule is flown: shaped, as the mean of the team at several stages.
+
+    ``stages`` (m, k) of m moments from the beginning to the end, with ``shares`` (k,), which sum
+    to 1.
+    """
+
+    stages: Floats
+    shares: Floats
+
+    def at(self, stages: Floats) -> Floats:
+        """Return the stages (q, k) whose mean is at given stages (q,)."""
+        mean = self.stages @ self.shares
+        return np.stack([np.interp(stages, mean, each) for each in self.stages.T], axis=1)
+
+
 def make_schedule(layout: KnotLayout, guide: Guide, margins: Margins, step: float) -> Schedule:
     """Return the motion of all vehicles to the corners of a layout.
 
@@ -128,10 +145,13 @@ def relaxed_schedule(path: TeamPaths, team: TeamGeometry, progress: Floats) -> S
     return straighten_schedule(improve(replace(schedule, offsets=offsets)))
 
 
-def improve(schedule: Schedule) -> Schedule:
-    """Return the schedule with vehicles moved aside from γ where the team misses margins."""
+def improve(schedule: Schedule, flown: Flown | None = None) -> Schedule:
+    """Return the schedule with vehicles moved aside from γ where the team misses margins.
+
+    Margins are those of the motion as it is ``flown``, where that is known.
+    """
     for density in _DENSITIES:
-        found = relax(_elastic_band(schedule, density), schedule.offsets)
+        found = relax(_elastic_band(schedule, density, flown), schedule.offsets)
         schedule = replace(schedule, offsets=found.offsets, missed=found.missed)
         if schedule.worst > BEYOND_REPAIR:
             break
@@ -148,13 +168,36 @@ def straighten_schedule(schedule: Schedule) -> Schedule:
     return straight if straight.worst <= max(schedule.worst, _AFTER_STRAIGHTENING) else schedule
 
 
-def _elastic_band(schedule: Schedule, density: int) -> ElasticBand:
-    """Return the team and its constraints at so many moments per stage."""
+def _elastic_band(schedule: Schedule, density: int, flown: Flown | None = None) -> ElasticBand:
+    """Return the team and its constraints at so many moments per stage.
+
+    As it is ``flown`` too, where that is known: not alone, because its timing changes with its
+    path, and only a path that keeps the margins itself is within them at every timing.
+    """
     weights = _weights(len(schedule.progress), density)
     positions = _positions(schedule.path, weights @ schedule.progress)
-    moments = np.arange(len(positions))
+    paths, moments = positions[::density], np.arange(len(positions))
     signs = schedule.signs[moments * (_DENSITIES[-1] // density)]
-    return ElasticBand(schedule.team, positions, signs, schedule.extra[moments // density], weights)
+    extra = schedule.extra[moments // density]
+    if flown is not None:
+        both = np.tile(moments, 2)
+        signs, extra = signs[both], extra[both]
+        shaped, shares = _as_flown(schedule, flown, moments / density)
+        positions = np.concatenate([positions, shaped])
+        weights = scipy.sparse.csr_array(scipy.sparse.vstack([weights, shares]))
+    return ElasticBand(schedule.team, paths, positions, signs, extra, weights)
+
+
+def _as_flown(
+    schedule: Schedule, flown: Flown, stages: Floats
+) -> "tuple[Floats, scipy.sparse.csr_array]":
+    """Return positions (m, n, 3) on γ, and weights (m, c), at moments with these mean stages."""
+    single = flown.at(stages)
+    weights = _weights_at(len(schedule.progress), single.ravel())
+    along = _positions(schedule.path, weights @ schedule.progress)
+    mean = scipy.sparse.kron(scipy.sparse.eye_array(len(stages)), flown.shares, format="csr")
+    positions = np.asarray(mean @ along.reshape(len(along), -1)).reshape(len(stages), -1, 3)
+    return positions, scipy.sparse.csr_array(mean @ weights)
 
 
 def _positions(path: TeamPaths, progress: Floats) -> Floats:
@@ -219,7 +262,11 @@ def stage_spline(controls: Floats) -> "scipy.interpolate.BSpline":
 
 def _weights(controls: int, density: int) -> "scipy.sparse.csr_array":
     """Return weights (density·(c − 1) + 1, c) of control points, at so many moments per stage."""
-    stages = np.arange(density * (controls - 1) + 1) / density
+    return _weights_at(controls, np.arange(density * (controls - 1) + 1) / density)
+
+
+def _weights_at(controls: int, stages: Floats) -> "scipy.sparse.csr_array":
+    """Return weights (m, c) of control points at stages (m,)."""
     weights = scipy.interpolate.BSpline.design_matrix(stages, _knots(controls), 5)
     return scipy.sparse.csr_array(weights @ scipy.sparse.csr_array(_extended(np.eye(controls))))
 

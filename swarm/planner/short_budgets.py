@@ -1,24 +1,19 @@
-"""Where the clearance budget of a plan is short: computed in stages, the quickest first."""
+"""Where the clearance budget of a plan is short: the quickest part of it first."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from swarm.certification.smallest_budgets import ShortBudget, short_moments
-from swarm.certification.swing_tube import pair_swings, swing_tube
+from swarm.certification.swing_tube import swing_after_urgent_stops, swing_tube
 from swarm.planning import Plan
-
-COMPLETE = 2
-"""The last stage, of all pairs after all changes of the clock's rate; before it are those of near
-pairs, after urgent stops (0) and after all changes (1)."""
 
 
 @dataclass(frozen=True)
 class ShortBudgets:
-    """Moments at which budgets are short, by the first ``stage`` that shows any, or else the last
-    that was computed."""
+    """Moments at which budgets are short: ``complete`` of all pairs after all changes of the
+    clock's rate, or of near pairs after urgent stops, which show most of it."""
 
     moments: tuple[ShortBudget, ...]
-    stage: int
+    complete: bool
 
     @property
     def total(self) -> float:
@@ -26,23 +21,21 @@ class ShortBudgets:
         return sum(one.metres for one in self.moments)
 
     def less_short_than(self, other: "ShortBudgets") -> bool:
-        """Whether a stage shows it later, or less of it."""
-        return (-self.stage, self.total) < (-other.stage, other.total)
+        """Whether only the complete budget shows it, or less of it."""
+        return (not self.complete, self.total) < (not other.complete, other.total)
 
 
-def short_budgets(plan: Plan, last: int = COMPLETE - 1) -> ShortBudgets:
-    """Return where the budget is short by the first stage that shows it, of near pairs, and of all
-    if ``last`` says so; nowhere where the mission accepts that."""
-    found = ShortBudgets((), COMPLETE)
-    for found in _stages(plan):
-        if found.moments:
-            return found
-    return complete_budgets(plan) if last == COMPLETE else found
+def short_budgets(plan: Plan, *, complete: bool) -> ShortBudgets:
+    """Return where the budget is short after urgent stops, or where it is not, and all of it is
+    asked for, where it is at all."""
+    found = budgets_after_urgent_stops(plan)
+    return found if found.moments or not complete else complete_budgets(plan)
 
 
 def budgets_after_urgent_stops(plan: Plan) -> ShortBudgets:
-    """Return where the budget is short by the first stage alone, which shows most of it."""
-    return next(_stages(plan), ShortBudgets((), COMPLETE))
+    """Return where the budget of near pairs is short; nowhere where the mission accepts that."""
+    swing = None if _accepted(plan) else swing_after_urgent_stops(plan)
+    return ShortBudgets(short_moments(plan, swing) if swing else (), _accepted(plan))
 
 
 def complete_budgets(plan: Plan) -> ShortBudgets:
@@ -50,12 +43,9 @@ def complete_budgets(plan: Plan) -> ShortBudgets:
 
     It takes the whole tube, which the certificate needs too.
     """
-    tube = None if plan.mission.limits.accept_negative_budget else swing_tube(plan)
-    return ShortBudgets(short_moments(plan, tube.pairs) if tube else (), COMPLETE)
+    tube = None if _accepted(plan) else swing_tube(plan)
+    return ShortBudgets(short_moments(plan, tube.pairs) if tube else (), complete=True)
 
 
-def _stages(plan: Plan) -> Iterator[ShortBudgets]:
-    if plan.mission.limits.accept_negative_budget:
-        return
-    for stage, swing in enumerate(pair_swings(plan)):
-        yield ShortBudgets(short_moments(plan, swing), stage)
+def _accepted(plan: Plan) -> bool:
+    return plan.mission.limits.accept_negative_budget

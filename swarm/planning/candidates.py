@@ -14,7 +14,7 @@ from swarm.errors import Refused
 from swarm.folding.layout import LayoutParameters
 from swarm.folding.margins import Margins
 from swarm.folding.optimizer import BEYOND_REPAIR
-from swarm.folding.schedule import improve
+from swarm.folding.schedule import Flown, improve
 from swarm.folding.waypoints import WaypointPaths
 from swarm.knots.catalog import KnotChoice, choose_knot
 from swarm.knots.grid import OpenGrid, openings
@@ -142,8 +142,12 @@ def repairable(candidate: Candidate, shortfalls: Sequence[Shortfall]) -> bool:
     )
 
 
-def repaired(candidate: Candidate, shortfalls: Sequence[Shortfall]) -> Candidate | None:
+def repaired(
+    candidate: Candidate, shortfalls: Sequence[Shortfall], flown: Flown | None = None
+) -> Candidate | None:
     """Return the next candidate of the same folding, with larger margins at the shortfalls.
+
+    ``flown`` is how the folding's schedule is flown, as its plan is timed.
 
     None where larger margins cannot help: no shortfalls, a check without a margin, too many
     attempts, or a schedule that cannot keep the larger margins.
@@ -151,7 +155,7 @@ def repaired(candidate: Candidate, shortfalls: Sequence[Shortfall]) -> Candidate
     folding = candidate.folding
     if folding is None or not repairable(candidate, shortfalls):
         return None
-    schedule = improve(with_larger_margins(folding, candidate.plan, shortfalls))
+    schedule = improve(with_larger_margins(folding, candidate.plan, shortfalls), flown)
     if schedule.worst > BEYOND_REPAIR:
         return None
     folding = replace(folding, schedule=schedule)

@@ -128,6 +128,14 @@ def shape(paced: PacedMotion, shaper: Shaper) -> Motion:
     return through_states(times, place, velocity, acceleration)
 
 
+def shaped_from(paced: PacedMotion, shaper: Shaper) -> Floats:
+    """Return the motion's own times (m, k) whose shares make up its shaped motion, every 0.2 s."""
+    duration = paced.time[-1] + shaper.delays[-1]
+    times = np.linspace(0.0, duration, math.ceil(duration / _SAMPLE) + 1)
+    found: Floats = np.interp(times[:, None] - shaper.delays, paced.time, paced.at)
+    return found
+
+
 def largest_stray(motion: Motion, strands: Sequence[Strands]) -> tuple[Floats, Floats]:
     """Return times (k,) and how far strands (k, n − 1) are from their catenaries then, metres.
 

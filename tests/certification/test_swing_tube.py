@@ -14,13 +14,24 @@ from sitl.physics.dynamics import STEP as TICK
 from sitl.world import CableSpec
 from swarm.certification.clearances import certified_tube, tightest_moments
 from swarm.certification.swing_findings import swing_findings
-from swarm.certification.swing_runs import COURSES, STEP, Course, aloft, model_of, swings
+from swarm.certification.swing_runs import (
+    COURSES,
+    STEP,
+    Course,
+    aloft,
+    model_of,
+    swings,
+    swings_after,
+)
 from swarm.certification.swing_tube import (
     NEAR,
-    NEARER,
     SwingTube,
+    _begun,
+    _Named,
+    _ordinary_of,
+    _pairs_of,
     _tube_of,
-    pair_swings,
+    swing_after_urgent_stops,
     swing_tube,
 )
 from swarm.certification.tube_radii import BIN, radii_over
@@ -29,7 +40,7 @@ from swarm.flight.flight_plan import basis_of
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import polyline_polyline
 from swarm.geometry.lumped_mass import cable_model, stray, swing
-from swarm.planning import Plan
+from swarm.planning import Plan, digest
 from swarm.planning.clock_limits import clock_limits
 from tests.overhand import planned_overhand
 from tests.shared import shared
@@ -190,21 +201,22 @@ def test_the_tube_is_the_same_on_one_core(shaped: Plan, tube: SwingTube) -> None
 
 
 @pytest.mark.parametrize("limit", [0.06, "auto"])
-def test_near_pairs_swing_as_in_the_tube(shaped: Plan, limit: float | str) -> None:
+def test_near_pairs_swing_after_urgent_stops_as_all_do(shaped: Plan, limit: float | str) -> None:
     plan = with_limit(shaped, limit)
-    after_stops, after_all = pair_swings(plan)
-    tube = swing_tube(plan)
+    found, tube = swing_after_urgent_stops(plan), swing_tube(plan)
+    assert found is not None
     assert tube is not None
     near = tube.pairs.close.left < NEAR
     assert 0 < near.sum() < len(near)
-    assert np.array_equal(after_all.close.pairs, tube.pairs.close.pairs[near])
-    approach, nearer = tube.pairs.approach[near], after_all.close.left < NEARER
-    assert 0 < nearer.sum() < len(nearer)
-    assert np.array_equal(after_all.approach[nearer], approach[nearer])
-    assert np.array_equal(after_all.approach[~nearer], after_stops.approach[~nearer])
-    assert (after_stops.approach <= approach).all()
-    assert after_stops.approach.sum() > 0.9 * approach.sum()
-    assert after_all.start == tube.pairs.start == tube.start
+    assert np.array_equal(found.close.pairs, tube.pairs.close.pairs[near])
+    assert found.start == tube.pairs.start == tube.start
+    every = (_begun if limit == "auto" else _ordinary_of)(_Named(digest(plan), plan))
+    assert every is not None
+    every = replace(every, found={}, approach=every.approach.copy())
+    every.collect(swings_after(plan, every.span, every.planned, COURSES[:1]))
+    assert np.array_equal(found.approach, _pairs_of(every).approach[near])
+    assert (found.approach <= tube.pairs.approach[near]).all()
+    assert found.approach.sum() > 0.9 * tube.pairs.approach[near].sum()
 
 
 def test_the_cable_does_not_swing_before_it_is_aloft(shaped: Plan) -> None:

@@ -21,7 +21,9 @@ TEAM = TeamGeometry(np.array([4.4, 9.0, 6.6]), MARGINS)
 def band(positions: npt.NDArray[np.float64], weights: csr_array) -> ElasticBand:
     """The elastic band of the team, with the signs of its own motion."""
     signs = crossing_signs(TEAM.outlines(positions), 2)
-    return ElasticBand(TEAM, positions, signs, no_extra_margins(len(positions)), weights)
+    extra = no_extra_margins(len(positions))
+    stages = (len(positions) - 1) // (weights.shape[1] - 1)
+    return ElasticBand(TEAM, positions[::stages], positions, signs, extra, weights)
 
 
 def led_over(height: float) -> npt.NDArray[np.float64]:
