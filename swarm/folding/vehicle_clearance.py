@@ -264,7 +264,8 @@ def penalize_downwash(
     """Add the cost of vehicles (s, n, 3) in the jets of others above, which make them sink.
 
     This is a preference, not a margin. A jet's half-width is 0.7 of the rotors' radius, and grows
-    by a tenth of the distance below. ``extra`` (s,) are metres by which jets count as wider.
+    by a tenth of the distance below. ``extra`` (s,) are metres by which jets count as wider: they
+    push by as much more. Relative to the wider jets instead, they pushed those near the axis less.
     """
     for s in range(len(positions)):
         gradient = penalty.gradient[s]
@@ -276,10 +277,10 @@ def penalize_downwash(
                 x = positions[s, i, 0] - positions[s, j, 0]
                 y = positions[s, i, 1] - positions[s, j, 1]
                 level = np.sqrt(x * x + y * y)
-                size = _jet(rise, margins) + extra[s]
-                if level >= size:
+                size = _jet(rise, margins)
+                if level >= size + extra[s]:
                     continue
-                short = _WASH_WEIGHT * (1.0 - level / size)
+                short = _WASH_WEIGHT * ((size + extra[s]) / size - level / size)
                 penalty.missed[s] += short * short
                 push = -short * _WASH_WEIGHT / (max(level, 1e-3) * size)
                 gradient[i, 0] += push * x

@@ -136,6 +136,11 @@ def _flight(mission: Mission, layout: KnotLayout, fold: Motion) -> PhaseSequence
     return flight_around_fold(mission, layout.lengths, fold, relaxed=relaxed)
 
 
+_ABOVE_FLOOR = 0.1
+"""Metres, at least, of a fold's height for errors of its cable that are not sampled; as much as the
+limit of a certified swing: with less, one of the endless knot came 1 cm too near the floor."""
+
+
 def _height(mission: Mission, fold: Motion, lengths: Floats) -> float:
     """Return the least height of the corners, metres, for which the fold clears the floor."""
     if mission.layout.height != "auto":
@@ -149,7 +154,9 @@ def _height(mission: Mission, fold: Motion, lengths: Floats) -> float:
     _, down = sensitivity_tables().largest(
         chord / lengths, 2.0 * tracking / lengths, sine, BOTH_ENDS, 1
     )
-    lowest = float((strands.lowest()[..., 2] - tracking * down).min()) - 0.1
+    swing = mission.fold.swing if mission.fold.certifies_swing else 0.0
+    reserve = max(_ABOVE_FLOOR, float(swing))
+    lowest = float((strands.lowest()[..., 2] - tracking * down).min()) - reserve
     margin = mission.clearance.floor + 0.5 * mission.cable.diameter
     return float(np.ceil(10.0 * (margin - lowest)) / 10.0)
 

@@ -194,6 +194,22 @@ def test_a_repaired_jet_is_avoided_as_far_as_it_is_wider(
     assert repaired.gradient[0, 1, 0] < 0.0
 
 
+@given(below=st.floats(1.8, 12.0), wider=st.floats(0.05, 2.0), share=st.floats(0.05, 0.95))
+def test_a_repaired_jet_pushes_more_wherever_a_vehicle_is_in_it(
+    below: float, wider: float, share: float
+) -> None:
+    team = TeamGeometry(np.array([30.0]), EXACT)
+    edge = 2.2 * (0.7 * EXACT.radius + 0.1 * below)
+    place = line((0.0, 0.0, below), (share * edge, 0.0, 0.0))
+    extra = {name: np.zeros(1) for name in FIELDS}
+    pushes = []
+    for metres in (0.0, 0.5 * wider, wider):
+        extra["jet"] = np.array([metres])
+        found = team.penalty(place, free_signs(1, 1), ExtraMargins(**extra))
+        pushes.append(float(found.gradient[0, 0, 0]))
+    assert 0.0 < pushes[0] < pushes[1] < pushes[2]
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_cached_pairs_miss_no_margin(seed: int) -> None:
     """Teams that move in small steps miss the same margins with and without a cache."""
