@@ -155,7 +155,7 @@ class ElasticBand:
 
     @property
     def density(self) -> int:
-        """Moments per stage."""
+        """Moments per stage, where every moment is there once."""
         moments, stages = self.weights.shape
         return int((moments - 1) // (stages - 1))
 
