@@ -115,7 +115,7 @@ def swing_after_urgent_stops(plan: Plan) -> PairSwing | None:
         return None
     near = begun.nearer_than(NEAR)
     wanted = _wanted(near, len(plan.layout.lengths))
-    near.collect(swings_after(plan, near.span, near.planned, COURSES[:1], wanted))
+    near.collect(swings_after(plan, near.span, near.planned, _URGENT_STOPS, wanted))
     return _pairs_of(near)
 
 
@@ -153,6 +153,7 @@ def _tube_of(named: _Named) -> SwingTube | None:
 
 
 _URGENT = tuple(course for course in COURSES if course.urgent)
+_URGENT_STOPS = tuple(course for course in _URGENT if course.target == 0.0)
 
 
 def _made_of(swings: "_Swings", ordinary: TubeRadii) -> SwingTube:

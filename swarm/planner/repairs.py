@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from swarm.certification.air import sinkings
 from swarm.certification.clearances import Moment, violations
+from swarm.folding.schedule import Flown
 from swarm.planner.pacing import (
     PacedPlan,
     exceeds_endurance,
@@ -94,8 +94,8 @@ class Kept:
         """
         if self.short or self.closes:
             return self
-        compute = complete_budgets if self.budget else partial(short_budgets, complete=True)
-        found = compute(self.paced.plan)
+        plan = self.paced.plan
+        found = complete_budgets(plan) if self.budget else short_budgets(plan, complete=True)
         return replace(self, budget=found, shares=_SHARES if found.moments else self.shares)
 
 
@@ -114,8 +114,8 @@ class Unfinished:
 
     def repaired(self) -> Candidate | None:
         """Return the next candidate of the folding, whose repairs are counted anew."""
-        candidate = replace(self.candidate, attempt=0)
-        found = _repaired(candidate, self.paced, self.shortfalls)
+        flown = _flown(self.candidate, self.paced)
+        found = _repaired(replace(self.candidate, attempt=0), self.shortfalls, flown)
         return found and replace(found, notes=("repaired further",))
 
 
@@ -150,7 +150,7 @@ def repair(candidate: Candidate, notes: tuple[str, ...], allowed: int) -> Repair
     failures: tuple[Moment, ...] = ()
     attempts = 0
     tried: Candidate | None = candidate
-    last = candidate, PacedPlan(candidate.plan)
+    last: Unfinished | None = None
     while tried is not None and attempts < allowed:
         notes += tried.notes
         paced, failures = _checked(replace(tried.plan, notes=notes), searched=tried.searched)
@@ -163,7 +163,7 @@ def repair(candidate: Candidate, notes: tuple[str, ...], allowed: int) -> Repair
             attempts += 1
             first = first or paced
             if failures:
-                last = tried, paced
+                last = Unfinished(tried, paced, [_shortfall(moment) for moment in failures])
                 tried = _repaired_at_once(tried, paced, failures)
             else:
                 if not kept or _fold_time(paced.plan) <= longer * _fold_time(kept[0].paced.plan):
@@ -172,10 +172,8 @@ def repair(candidate: Candidate, notes: tuple[str, ...], allowed: int) -> Repair
         if tried is None and kept:
             tried, kept = _repaired_again(kept)
     notes += _why_not(failures) if candidate.searched and failures and not kept else ()
-    unfinished = None
-    if failures and not kept and last[0].last_attempt:
-        unfinished = Unfinished(*last, [_shortfall(moment) for moment in failures])
-    return Repairs(kept, first, too_long, unfinished, attempts, notes)
+    ended = last is not None and bool(failures) and not kept and last.candidate.last_attempt
+    return Repairs(kept, first, too_long, last if ended else None, attempts, notes)
 
 
 def _repaired_at_once(
@@ -191,25 +189,31 @@ def _repaired_at_once(
         return None
     budget = budgets_after_urgent_stops(paced.plan)
     others = [_led_aside(one) for one in (*_short_of(budget), *_sinking(paced.plan))]
-    found = _repaired(candidate, paced, [*short, *others]) if others else None
-    return found or _repaired(candidate, paced, short)
+    flown = _flown(candidate, paced)
+    found = _repaired(candidate, [*short, *others], flown) if others else None
+    return found or _repaired(candidate, short, flown)
 
 
-def _repaired(
-    candidate: Candidate, paced: PacedPlan, shortfalls: Sequence[Shortfall]
-) -> Candidate | None:
-    """Return the next candidate, repaired on its path and as it is flown, or else on its path.
+def _flown(candidate: Candidate, paced: PacedPlan) -> Flown | None:
+    """Return how a candidate is flown as its plan is paced; None where only its path is repaired.
 
     A shaped motion is not on its path: repairs on the path alone moved what others had mended, and
-    the Carrick mat took 11 of them instead of 4. Where a motion misses too much as it is flown, its
-    path may still be repaired: that of 6_1 was. Searched motions have room to spare: with repairs
+    the Carrick mat took 11 of them instead of 4. Searched motions have room to spare: with repairs
     on both, the fold of the overhand with five takes 36.8 s instead of 33.7 s, and holds up to
     0.127 m (e*) instead of 0.144 m.
     """
-    flown = None
-    if candidate.folding and paced.pacing and not candidate.searched:
-        pacing = paced.pacing
-        flown = flown_stages(candidate.folding.schedule, pacing.paced, pacing.shaper)
+    if candidate.folding is None or candidate.searched or paced.pacing is None:
+        return None
+    return flown_stages(candidate.folding.schedule, paced.pacing.paced, paced.pacing.shaper)
+
+
+def _repaired(
+    candidate: Candidate, shortfalls: Sequence[Shortfall], flown: Flown | None
+) -> Candidate | None:
+    """Return the next candidate, repaired on its path and as it is flown, or else on its path.
+
+    Where a motion misses too much as it is flown, its path may still be repaired: that of 6_1 was.
+    """
     found = repaired(candidate, shortfalls, flown) if flown else None
     return found or repaired(candidate, shortfalls)
 
@@ -375,9 +379,11 @@ def _led_apart(kept: Kept) -> tuple[Candidate | None, Kept]:
 
     None where no share that is left can be; the plan is returned with those that are left then.
     """
-    for number, share in enumerate(kept.shares if kept.shortfalls else (), start=1):
+    shares = kept.shares if kept.shortfalls else ()
+    flown = _flown(kept.candidate, kept.paced) if shares else None
+    for number, share in enumerate(shares, start=1):
         aims = [_led_aside(one, share) for one in kept.shortfalls]
-        found = _repaired(kept.candidate, kept.paced, aims)
+        found = _repaired(kept.candidate, aims, flown)
         if found is not None:
             return found, replace(kept, shares=kept.shares[number:])
     return None, replace(kept, shares=())

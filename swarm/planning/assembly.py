@@ -14,7 +14,7 @@ from swarm.geometry.motion import Motion, through_states
 from swarm.geometry.sensitivity import BOTH_ENDS, sensitivity_tables
 from swarm.knots.grid import OpenGrid
 from swarm.mission import Mission
-from swarm.planning.foldings import Folding, layout_sizes
+from swarm.planning.foldings import Folding, layout_sizes, room_to_swing
 from swarm.planning.phase_motion import usable_acceleration
 from swarm.planning.phase_sequence import PhaseSequence, flight_around_fold
 from swarm.planning.plan import KnotSummary, Plan
@@ -154,8 +154,7 @@ def _height(mission: Mission, fold: Motion, lengths: Floats) -> float:
     _, down = sensitivity_tables().largest(
         chord / lengths, 2.0 * tracking / lengths, sine, BOTH_ENDS, 1
     )
-    swing = mission.fold.swing if mission.fold.certifies_swing else 0.0
-    reserve = max(_ABOVE_FLOOR, float(swing))
+    reserve = max(_ABOVE_FLOOR, room_to_swing(mission))
     lowest = float((strands.lowest()[..., 2] - tracking * down).min()) - reserve
     margin = mission.clearance.floor + 0.5 * mission.cable.diameter
     return float(np.ceil(10.0 * (margin - lowest)) / 10.0)

@@ -213,7 +213,7 @@ def planning_margins(mission: Mission) -> Margins:
         vehicle_cable=clearance.vehicle_cable
         + 0.5 * mission.cable.diameter
         + 3.0 * SAMPLING_ERROR
-        + _room_to_swing(mission),
+        + room_to_swing(mission),
         tracking=vehicles.tracking,
         radius=vehicles.radius,
         grip_offset=vehicles.grip_offset,
@@ -222,12 +222,13 @@ def planning_margins(mission: Mission) -> Margins:
     )
 
 
-def _room_to_swing(mission: Mission) -> float:
-    """Return the distance, metres, that a limit of the swing adds to that of vehicles and cable.
+def room_to_swing(mission: Mission) -> float:
+    """Return the limit of a certified swing, metres; 0 where none is certified.
 
-    As much as the limit: vehicles pass cable as near as is allowed, within a centimetre. Strands
-    get no room: repairs for the budget lead them farther apart. With as much room between strands,
-    the cable of the default overhand (0.06 m) is 7 % longer, and its fold takes 5 s more.
+    It is added to the distance of vehicles and cable: vehicles pass cable as near as is allowed,
+    within a centimetre. Strands get no room: repairs for the budget lead them farther apart. With
+    as much room between strands, the cable of the default overhand (0.06 m) is 7 % longer, and its
+    fold takes 5 s more.
     """
     return 0.0 if mission.fold.swing == "auto" else mission.fold.swing
 

@@ -115,8 +115,7 @@ def shape(paced: PacedMotion, shaper: Shaper) -> Motion:
     It lasts longer by the largest delay and is C²: quintics through its states every 0.2 s. Speeds
     and accelerations are no larger than those of the paced motion, up to interpolation.
     """
-    duration = paced.time[-1] + shaper.delays[-1]
-    times = np.linspace(0.0, duration, math.ceil(duration / _SAMPLE) + 1)
+    times = _samples(paced, shaper)
     place, velocity, acceleration = (
         np.zeros((len(times), *paced.motion.coefficients.shape[2:])) for _ in range(3)
     )
@@ -130,10 +129,15 @@ def shape(paced: PacedMotion, shaper: Shaper) -> Motion:
 
 def shaped_from(paced: PacedMotion, shaper: Shaper) -> Floats:
     """Return the motion's own times (m, k) whose shares make up its shaped motion, every 0.2 s."""
-    duration = paced.time[-1] + shaper.delays[-1]
-    times = np.linspace(0.0, duration, math.ceil(duration / _SAMPLE) + 1)
-    found: Floats = np.interp(times[:, None] - shaper.delays, paced.time, paced.at)
+    delayed = _samples(paced, shaper)[:, None] - shaper.delays
+    found: Floats = np.interp(delayed, paced.time, paced.at)
     return found
+
+
+def _samples(paced: PacedMotion, shaper: Shaper) -> Floats:
+    """Return the times of a shaped motion's pieces."""
+    duration = paced.time[-1] + shaper.delays[-1]
+    return np.linspace(0.0, duration, math.ceil(duration / _SAMPLE) + 1)
 
 
 def largest_stray(motion: Motion, strands: Sequence[Strands]) -> tuple[Floats, Floats]:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarm.folding.crossing_constraints import CrossingSigns, crossing_signs, segment_pairs
-from swarm.folding.margins import Margins
+from swarm.folding.margins import Margins, Penalty
 from swarm.folding.neighbour_clearance import empty_margin_cache
 from swarm.folding.outlines import outline_strands
 from swarm.folding.penalty import ExtraMargins, TeamGeometry
@@ -178,18 +178,26 @@ def test_positions_in_the_jets_of_others_have_a_cost() -> None:
     assert team.penalty(beside, signs).missed[0] == 0.0
 
 
+def in_a_jet(below: float, level: float, wider: float) -> Penalty:
+    """Of two vehicles, one ``below`` the other and ``level`` from the axis of its jet."""
+    team = TeamGeometry(np.array([30.0]), EXACT)
+    extra = {name: np.zeros(1) for name in FIELDS} | {"jet": np.array([wider])}
+    place = line((0.0, 0.0, below), (level, 0.0, 0.0))
+    return team.penalty(place, free_signs(1, 1), ExtraMargins(**extra))
+
+
+def edge_of_jet(below: float) -> float:
+    """2.2 half-widths, 0.7 of the radius and a tenth of the distance below."""
+    return 2.2 * (0.7 * EXACT.radius + 0.1 * below)
+
+
 @given(below=st.floats(1.8, 12.0), wider=st.floats(0.01, 0.4), share=st.floats(0.02, 0.98))
 def test_a_repaired_jet_is_avoided_as_far_as_it_is_wider(
     below: float, wider: float, share: float
 ) -> None:
-    """2.2 half-widths, 0.7 of the radius and a tenth of the distance below, and the extra."""
-    team = TeamGeometry(np.array([30.0]), EXACT)
-    edge = 2.2 * (0.7 * EXACT.radius + 0.1 * below)
-    place = line((0.0, 0.0, below), (edge + share * wider, 0.0, 0.0))
-    extra = {name: np.zeros(1) for name in FIELDS}
-    assert team.penalty(place, free_signs(1, 1), ExtraMargins(**extra)).missed[0] == 0.0
-    extra["jet"] = np.array([wider])
-    repaired = team.penalty(place, free_signs(1, 1), ExtraMargins(**extra))
+    level = edge_of_jet(below) + share * wider
+    assert in_a_jet(below, level, 0.0).missed[0] == 0.0
+    repaired = in_a_jet(below, level, wider)
     assert repaired.missed[0] > 0.0
     assert repaired.gradient[0, 1, 0] < 0.0
 
@@ -198,15 +206,11 @@ def test_a_repaired_jet_is_avoided_as_far_as_it_is_wider(
 def test_a_repaired_jet_pushes_more_wherever_a_vehicle_is_in_it(
     below: float, wider: float, share: float
 ) -> None:
-    team = TeamGeometry(np.array([30.0]), EXACT)
-    edge = 2.2 * (0.7 * EXACT.radius + 0.1 * below)
-    place = line((0.0, 0.0, below), (share * edge, 0.0, 0.0))
-    extra = {name: np.zeros(1) for name in FIELDS}
-    pushes = []
-    for metres in (0.0, 0.5 * wider, wider):
-        extra["jet"] = np.array([metres])
-        found = team.penalty(place, free_signs(1, 1), ExtraMargins(**extra))
-        pushes.append(float(found.gradient[0, 0, 0]))
+    level = share * edge_of_jet(below)
+    pushes = [
+        float(in_a_jet(below, level, metres).gradient[0, 0, 0])
+        for metres in (0.0, 0.5 * wider, wider)
+    ]
     assert 0.0 < pushes[0] < pushes[1] < pushes[2]
 
 
