@@ -93,6 +93,29 @@ def test_polylines_against_all_pairs() -> None:
         assert np.linalg.norm(points[0] - points[1]) == pytest.approx(closest.distance[i, j])
 
 
+@pytest.mark.parametrize("sizes", [(65, 50), (17, 18), (40, 9), (66, 64)])
+def test_long_polylines_against_all_pairs(sizes: tuple[int, int]) -> None:
+    rng = np.random.default_rng(8)
+    for _ in range(20):
+        first, second = (0.2 * walks(rng, size, 3) for size in sizes)
+        second += 3.0 * rng.normal(size=3)
+        closest = polyline_polyline(first, second)
+        assert closest.distance == pytest.approx(brute(first, second), rel=1e-13)
+        on_first, on_second = (
+            np.array([np.interp(place, np.arange(len(line)), line[:, x]) for x in range(3)])
+            for line, place in ((first, closest.first), (second, closest.second))
+        )
+        assert np.linalg.norm(on_first - on_second) == pytest.approx(closest.distance, rel=1e-9)
+
+
+@pytest.mark.parametrize("at", [0, 3, 8, 30, 63, 64])
+def test_a_nan_anywhere_in_a_long_polyline_is_not_a_large_distance(at: int) -> None:
+    lines = walks(np.random.default_rng(9), 2, 65, 3)
+    lines[1] += 40.0
+    lines[1, at, 2] = np.nan
+    assert np.isnan(polyline_polyline(lines[0], lines[1]).distance)
+
+
 def test_chosen_strands_have_the_distance_of_their_polylines() -> None:
     rng = np.random.default_rng(6)
     strands = walks(rng, 11, 4, 8, 3)
