@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.jit import compiled, inner
-from swarm.signatures import Floats1, Floats4, contiguous
+from swarm.signatures import Floats1, Floats2, Floats3, Floats4, contiguous
 
 Floats = npt.NDArray[np.float64]
 
@@ -41,28 +41,41 @@ class Motion:
 
         Outside the motion the result is its nearest end, at rest.
         """
-        position, velocity, acceleration = self._states(times, 3)
+        moments, breaks, coefficients = self._for_kernels(times)
+        states = np.empty((3, moments.size, *coefficients.shape[2:]))
+        _evaluate(breaks, coefficients, moments.reshape(-1), states)
+        position, velocity, acceleration = states.reshape(3, *moments.shape, *states.shape[2:])
         return position, velocity, acceleration
 
     def places(self, times: npt.ArrayLike) -> Floats:
-        """Return the positions (…, n, 3) of :meth:`at` alone, in less than half the time."""
-        found: Floats = self._states(times, 1)[0]
-        return found
+        """Return the positions (…, n, 3) of :meth:`at` alone, in a fifth of the time."""
+        moments, breaks, coefficients = self._for_kernels(times)
+        found = np.empty((moments.size, *coefficients.shape[2:]))
+        flat = coefficients.reshape(*coefficients.shape[:2], -1)
+        _evaluate_places(breaks, flat, moments.reshape(-1), found.reshape(len(found), -1))
+        return found.reshape(*moments.shape, *found.shape[1:])
 
-    def _states(self, times: npt.ArrayLike, orders: int) -> Floats:
-        """Return the position and its derivatives below ``orders``: (orders, …, n, 3)."""
-        moments = np.asarray(times, dtype=np.float64)
-        states = np.empty((orders, moments.size, *self.coefficients.shape[2:]))
-        breaks, coefficients, flat = (
-            contiguous(values) for values in (self.times, self.coefficients, moments.reshape(-1))
-        )
-        _evaluate(breaks, coefficients, flat, states)
-        return states.reshape(orders, *moments.shape, *states.shape[2:])
+    def _for_kernels(self, times: npt.ArrayLike) -> tuple[Floats, Floats, Floats]:
+        moments = contiguous(np.asarray(times, dtype=np.float64))
+        return moments, contiguous(self.times), contiguous(self.coefficients)
+
+
+@compiled
+def _evaluate_places(
+    breaks: Floats1, coefficients: Floats3, times: Floats1, places: Floats2
+) -> None:
+    """Write positions (q, 3 n) at times (q,), of polynomials (k, 6, 3 n)."""
+    for q in range(len(times)):
+        piece, u, _ = find_piece(breaks, times[q])
+        c = coefficients[piece]
+        for i in range(places.shape[1]):
+            upper = c[3, i] + u * (c[4, i] + u * c[5, i])
+            places[q, i] = c[0, i] + u * (c[1, i] + u * (c[2, i] + u * upper))
 
 
 @compiled
 def _evaluate(breaks: Floats1, coefficients: Floats4, times: Floats1, states: Floats4) -> None:
-    """Write positions, or these with velocities and accelerations, (1 or 3, q, n, 3), at (q,)."""
+    """Write positions, velocities and accelerations (3, q, n, 3) at times (q,)."""
     for q in range(len(times)):
         piece, since, moving = find_piece(breaks, times[q])
         for i in range(coefficients.shape[2]):
@@ -82,14 +95,12 @@ def evaluate_piece(c: Floats, i: int, u: float, moving: float, state: Floats) ->
     """Write the state of point ``i``, ``u`` seconds into a piece ``c`` (6, n, 3).
 
     ``state`` (3, 3): position, velocity and acceleration; the last two multiplied by ``moving``.
-    With (1, 3) the position alone.
     """
     for x in range(3):
+        c2, c3, c4, c5 = c[2, i, x], c[3, i, x], c[4, i, x], c[5, i, x]
         state[0, x] = place_in_piece(c, i, x, u)
-        if len(state) > 1:
-            c2, c3, c4, c5 = c[2, i, x], c[3, i, x], c[4, i, x], c[5, i, x]
-            state[1, x] = moving * speed_in_piece(c, i, x, u)
-            state[2, x] = moving * (2 * c2 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5)))
+        state[1, x] = moving * speed_in_piece(c, i, x, u)
+        state[2, x] = moving * (2 * c2 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5)))
 
 
 @inner
