@@ -323,15 +323,20 @@ def _strays(
     ``joints`` (…, s, …, 3) are those of each of ``strands``; the strays of fewer links are
     interpolated where there is no joint. Those of segments with no strand are 0.
     """
+    if len(strands) == 1 and len(strands[0].segments) == ends.shape[-2] - 1:
+        return _of_strands(strands[0], joints[0], ends)
     found = np.zeros((*ends.shape[:-2], ends.shape[-2] - 1, links + 1, 3))
     for some, swung in zip(strands, joints, strict=True):
-        begin, fractions = some.segments, np.linspace(0.0, 1.0, some.model.links + 1)
-        still = solve_catenaries(ends[..., begin, :], ends[..., begin + 1, :], some.lengths)
-        _write_strays(
-            _moments(swung), _moments(still.points(fractions)), begin, links // some.model.links,
-            _moments(found),
-        )  # fmt: skip
+        strays = _moments(_of_strands(some, swung, ends))
+        _scatter(strays, some.segments, links // some.model.links, _moments(found))
     return found
+
+
+def _of_strands(strands: Strands, joints: Floats, ends: Floats) -> Floats:
+    """Return the strays (…, s, links + 1, 3) of joints of strands from their catenaries."""
+    begin, fractions = strands.segments, np.linspace(0.0, 1.0, strands.model.links + 1)
+    still = solve_catenaries(ends[..., begin, :], ends[..., begin + 1, :], strands.lengths)
+    return still.strays(fractions, joints)
 
 
 def _moments(points: Floats) -> Floats:
@@ -340,20 +345,19 @@ def _moments(points: Floats) -> Floats:
 
 
 @compiled
-def _write_strays(
-    joints: Floats4, still: Floats4, segments: Ints1, parts: int, found: Floats4
-) -> None:
-    """Write the strays (k, n − 1, parts · links + 1, 3) of strands with joints (k, s, links + 1, 3)
-    from those that hang ``still``, interpolated within links of ``parts``."""
-    last = joints.shape[2] - 1
-    for k in range(len(joints)):
+def _scatter(strays: Floats4, segments: Ints1, parts: int, found: Floats4) -> None:
+    """Write strays (k, s, links + 1, 3) to those of their segments (k, n − 1, parts · links + 1,
+    3), interpolated within links of ``parts``."""
+    last = strays.shape[2] - 1
+    for k in range(len(strays)):
         for s in range(len(segments)):
+            own, there = strays[k, s], found[k, segments[s]]
             for i in range(last + 1):
                 for x in range(3):
-                    here = joints[k, s, i, x] - still[k, s, i, x]
-                    found[k, segments[s], parts * i, x] = here
-                    if parts == 1 or i == last:
-                        continue
-                    step = (joints[k, s, i + 1, x] - still[k, s, i + 1, x] - here) / parts
-                    for part in range(1, parts):
-                        found[k, segments[s], parts * i + part, x] = here + part * step
+                    there[parts * i, x] = own[i, x]
+            for part in range(1, parts):
+                share = part / parts
+                for i in range(last):
+                    for x in range(3):
+                        between = own[i, x] + share * (own[i + 1, x] - own[i, x])
+                        there[parts * i + part, x] = between

@@ -13,13 +13,19 @@ are as exact as others. A vertical strand is the limit of a vanishing span, comp
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from swarm.errors import SwarmError
-from swarm.geometry.catenary_kernel import arc_offset, arc_start, offset_from, solve
+from swarm.geometry.catenary_kernel import arc_offset, solve
+from swarm.geometry.catenary_points import (
+    Arcs,
+    Vectors,
+    write_distances,
+    write_points,
+    write_strays,
+)
 from swarm.geometry.catenary_shape import (
     SMALLEST_HALF_ANGLE,
     VERTICAL,
@@ -29,7 +35,7 @@ from swarm.geometry.catenary_shape import (
     sag_per_span,
 )
 from swarm.jit import compiled
-from swarm.signatures import Floats1, Floats2, Floats3, contiguous
+from swarm.signatures import Floats1, Floats2, contiguous
 
 Floats = NDArray[np.float64]
 
@@ -96,21 +102,29 @@ class Catenaries:
         """Return points (…, k, 3) at given fractions (k,) of the arc length of every strand."""
         fractions = _floats(fractions)
         points = np.empty((self.span.size, fractions.size, 3))
-        _write_points(_flat(fractions), *self._for_kernels(), points)
+        write_points(_flat(fractions), *self._for_kernels(), points)
         return points.reshape(*self.span.shape, fractions.size, 3)
+
+    def strays(self, fractions: ArrayLike, others: Floats) -> Floats:
+        """Return vectors (…, k, 3) to other points (…, k, 3) from those at fractions (k,)."""
+        fractions = _floats(fractions)
+        strays = np.empty((self.span.size, fractions.size, 3))
+        flat = _flat(others, fractions.size, 3)
+        write_strays(_flat(fractions), *self._for_kernels(), flat, strays)
+        return strays.reshape(*self.span.shape, fractions.size, 3)
 
     def distances(self, fractions: ArrayLike, others: Floats) -> Floats:
         """Return distances (…, k) of other points (…, k, 3) from those at fractions (k,)."""
         fractions = _floats(fractions)
         distances = np.empty((self.span.size, fractions.size))
         flat = _flat(others, fractions.size, 3)
-        _write_distances(_flat(fractions), *self._for_kernels(), flat, distances)
+        write_distances(_flat(fractions), *self._for_kernels(), flat, distances)
         return distances.reshape(*self.span.shape, fractions.size)
 
-    def _for_kernels(self) -> "tuple[_Arcs, _Vectors]":
+    def _for_kernels(self) -> "tuple[Arcs, Vectors]":
         return (
-            _Arcs(_flat(self.length), _flat(self.parameter), _flat(self.slope)),
-            _Vectors(_flat(self.start, 3), _flat(self._per_angle, 3), _flat(self._per_height, 3)),
+            Arcs(_flat(self.length), _flat(self.parameter), _flat(self.slope)),
+            Vectors(_flat(self.start, 3), _flat(self._per_angle, 3), _flat(self._per_height, 3)),
         )
 
     def points_at(self, fraction: ArrayLike) -> Floats:
@@ -122,7 +136,7 @@ class Catenaries:
             figures = tuple(np.broadcast_to(figure, shape) for figure in figures)
         at, length, parameter, slope = (_flat(figure) for figure in figures)
         angle, height = np.empty((2, len(at)))
-        _write_offsets(at, _Arcs(length, parameter, slope), angle, height)
+        _write_offsets(at, Arcs(length, parameter, slope), angle, height)
         angle, height = angle.reshape(*shape, 1), height.reshape(*shape, 1)
         point: Floats = self.start + angle * self._per_angle + height * self._per_height
         return point
@@ -298,22 +312,6 @@ def _require_reach(chord: Floats, length: Floats) -> None:
         raise OverStretched(segments, chord[over], length[over])
 
 
-class _Arcs(NamedTuple):
-    """Length, parameter and start slope (q,) of strands."""
-
-    length: Floats1
-    parameter: Floats1
-    slope: Floats1
-
-
-class _Vectors(NamedTuple):
-    """Starts of strands, and vectors per angle and per height over length, (q, 3)."""
-
-    start: Floats2
-    per_angle: Floats2
-    per_height: Floats2
-
-
 @compiled
 def _solve_all(span: Floats1, rise: Floats1, length: Floats1, solved: Floats2) -> None:
     """Write half angles, parameters and start slopes (3, q)."""
@@ -324,35 +322,7 @@ def _solve_all(span: Floats1, rise: Floats1, length: Floats1, solved: Floats2) -
 
 
 @compiled
-def _write_points(fractions: Floats1, arcs: _Arcs, vectors: _Vectors, points: Floats3) -> None:
-    """Write points (q, k, 3) of strands (q,) at fractions (k,) of their arcs."""
-    for q in range(len(arcs.length)):
-        first, turning = arc_start(arcs.slope[q]), arcs.length[q] / arcs.parameter[q]
-        for k in range(len(fractions)):
-            angle, height = offset_from(first, fractions[k], turning)
-            for axis in range(3):
-                moved = angle * vectors.per_angle[q, axis] + height * vectors.per_height[q, axis]
-                points[q, k, axis] = vectors.start[q, axis] + moved
-
-
-@compiled
-def _write_distances(
-    fractions: Floats1, arcs: _Arcs, vectors: _Vectors, others: Floats3, distances: Floats2
-) -> None:
-    """Write the distances (q, k) of points (q, k, 3) from those of :func:`_write_points`."""
-    for q in range(len(arcs.length)):
-        first, turning = arc_start(arcs.slope[q]), arcs.length[q] / arcs.parameter[q]
-        for k in range(len(fractions)):
-            angle, height = offset_from(first, fractions[k], turning)
-            square = 0.0
-            for axis in range(3):
-                moved = angle * vectors.per_angle[q, axis] + height * vectors.per_height[q, axis]
-                square += (others[q, k, axis] - (vectors.start[q, axis] + moved)) ** 2
-            distances[q, k] = np.sqrt(square)
-
-
-@compiled
-def _write_offsets(fraction: Floats1, arcs: _Arcs, angle: Floats1, height: Floats1) -> None:
+def _write_offsets(fraction: Floats1, arcs: Arcs, angle: Floats1, height: Floats1) -> None:
     """Write :func:`arc_offset` of strands (q,) at a fraction (q,) of each."""
     for q in range(len(arcs.length)):
         angle[q], height[q] = arc_offset(

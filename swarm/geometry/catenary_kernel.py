@@ -15,6 +15,8 @@ from swarm.jit import inner
 
 Floats = NDArray[np.float64]
 
+SMALL_TURN = 1e-2
+"""Length over parameter below which a difference of two arsinh loses two digits and more."""
 _VERTICAL = 1e-6
 """Smallest span over length; a smaller one counts as this, which moves an end by a millionth."""
 _SMALLEST_HALF_ANGLE = 1e-6
@@ -106,12 +108,17 @@ def offset_from(
     slope = first + turned
     cosh = np.sqrt(1.0 + slope * slope)
     total = cosh_first + cosh
-    if turning < 1e-3:
-        half = turned / total
-        angle = half * (2.0 + half * half * (2 / 3 + half * half * (2 / 5)))
+    if turning < SMALL_TURN:
+        angle = small_angle(turned / total)
     else:
         angle = np.copysign(np.log(abs(slope) + cosh), slope) - angle_first
     return angle, fraction * ((slope + first) / total)
+
+
+@inner
+def small_angle(half: float) -> float:
+    """Return 2 artanh of a small number, by its series."""
+    return half * (2.0 + half * half * (2 / 3 + half * half * (2 / 5)))
 
 
 @inner
