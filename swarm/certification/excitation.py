@@ -9,11 +9,14 @@ where the strand moves through it.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries
+from swarm.jit import compiled, inner
+from swarm.signatures import Floats1, Floats2
 
 Floats = npt.NDArray[np.float64]
 
@@ -159,20 +162,57 @@ def modal_variances(
     frequency = found.frequencies
     drive = (found.participation**2).sum(axis=1) * density(frequency, tracking)
     drive *= math.pi * frequency / 4.0
-    square = (found.shapes**2).sum(axis=1)
-    rate = (2.0 * math.pi * frequency) ** 2
-
-    def damping(variance: Floats, speed: float) -> Floats:
-        shaken = _LINEARIZED**2 * (square @ (rate * variance))
-        across = drag * found.mass * (np.sqrt(shaken + speed**2) @ square)
-        ratio: Floats = np.maximum(across / (4.0 * math.pi * frequency), _UNDAMPED)
-        return ratio
-
-    held, moving = drive / 0.01, np.zeros_like(drive)
-    for _ in range(_ROUNDS):
-        held = np.sqrt(held * drive / damping(held, 0.0))
-    for speed in speeds:
-        ratio = damping(moving, float(speed))
-        rest = np.exp(-4.0 * math.pi * ratio * frequency * STEP)
-        moving = moving * rest + drive / ratio * (1.0 - rest)
+    square = np.ascontiguousarray((found.shapes**2).sum(axis=1))
+    driven = _Driven(frequency, drive, square, drag * found.mass)
+    moving, held = np.zeros_like(drive), drive / 0.01
+    _settle(driven, held)
+    _follow(driven, np.ascontiguousarray(speeds), moving)
     return moving, held
+
+
+class _Driven(NamedTuple):
+    """Modes (k,) with frequencies in Hz and ``drive``; the squares of their shapes (joints, k);
+    and the drag in 1/m times the mass of a joint, per mass per length."""
+
+    frequency: Floats1
+    drive: Floats1
+    square: Floats2
+    drag: float
+
+
+@compiled
+def _settle(driven: _Driven, variances: Floats1) -> None:
+    """Write the variances (k,) after a long hold over a first guess of them."""
+    ratios = np.empty_like(variances)
+    for _ in range(_ROUNDS):
+        _write_damping(driven, variances, 0.0, ratios)
+        for k in range(len(variances)):
+            variances[k] = np.sqrt(variances[k] * driven.drive[k] / ratios[k])
+
+
+@compiled
+def _follow(driven: _Driven, speeds: Floats1, variances: Floats1) -> None:
+    """Let variances (k,) follow the speeds (m,), STEP seconds each."""
+    ratios = np.empty_like(variances)
+    for speed in speeds:
+        _write_damping(driven, variances, speed, ratios)
+        for k in range(len(variances)):
+            rest = np.exp(-4.0 * math.pi * ratios[k] * driven.frequency[k] * STEP)
+            variances[k] = variances[k] * rest + driven.drive[k] / ratios[k] * (1.0 - rest)
+
+
+@inner
+def _write_damping(driven: _Driven, variances: Floats, speed: float, ratios: Floats) -> None:
+    """Write the damping ratios (k,) of modes with these variances, in air of a speed."""
+    frequency, _, square, drag = driven
+    ratios[:] = 0.0
+    for joint in range(len(square)):
+        shaken = speed * speed
+        for k in range(len(ratios)):
+            rate = _LINEARIZED * 2.0 * math.pi * frequency[k]
+            shaken += rate * rate * variances[k] * square[joint, k]
+        for k in range(len(ratios)):
+            ratios[k] += np.sqrt(shaken) * square[joint, k]
+    for k in range(len(ratios)):
+        ratio = drag * ratios[k] / (4.0 * math.pi * frequency[k])
+        ratios[k] = max(ratio, _UNDAMPED)
