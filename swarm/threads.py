@@ -1,9 +1,12 @@
 """Independent computations on several cores: compiled functions release the lock of Python."""
 
 import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import AbstractContextManager, nullcontext
+from functools import cache
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -14,6 +17,9 @@ _MOST = 4
 
 _AHEAD = 2
 """Results for each thread that are computed ahead of the one that is used, which bounds memory."""
+
+_THIS = threading.local()
+"""What is known of the current thread: whether its work is one of several ``side_by_side``."""
 
 
 def side_by_side(
@@ -29,7 +35,7 @@ def side_by_side(
         yield from map(function, items)
         return
     pending: deque[Future[Result]] = deque()
-    with ThreadPoolExecutor(threads) as pool:
+    with _pool(threads) as pool:
         try:
             for item in items:
                 pending.append(pool.submit(function, item))
@@ -40,6 +46,7 @@ def side_by_side(
         finally:
             for left in pending:
                 left.cancel()
+            wait(pending)
 
 
 def usual_threads() -> int:
@@ -47,3 +54,24 @@ def usual_threads() -> int:
     if hasattr(os, "sched_getaffinity"):
         return min(len(os.sched_getaffinity(0)), _MOST)
     return min(os.cpu_count() or 1, _MOST)
+
+
+def _pool(threads: int) -> AbstractContextManager[ThreadPoolExecutor]:
+    """Return a pool of threads: the kept one, but within other work side by side a pool of its own.
+
+    Work that waits in all of its pool's threads for more work there would never end.
+    """
+    if getattr(_THIS, "works", False):
+        return ThreadPoolExecutor(threads, initializer=_mark)
+    return nullcontext(_kept_pool(threads))
+
+
+@cache
+def _kept_pool(threads: int) -> ThreadPoolExecutor:
+    """Return the pool that a process keeps: to start two threads takes as long as the missed
+    margins of ten teams, which an elastic band needs a thousand times."""
+    return ThreadPoolExecutor(threads, initializer=_mark)
+
+
+def _mark() -> None:
+    _THIS.works = True
