@@ -28,6 +28,7 @@ from swarm.certification.stream_loss_samples import (
 )
 from swarm.planning import Plan, digest
 from swarm.planning.clock_limits import ClockLimits, clock_limits
+from swarm.threads import side_by_side, usual_threads
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -42,6 +43,8 @@ FINE_RATES = tuple(float(rate) for rate in np.linspace(1.0, 0.3, 8))
 BRAKING_TIME = 0.3
 """Seconds for which a vehicle that is commanded to stop continues at its speed: both autopilots
 brake with about 3 m/s², which takes less at speeds up to 2 m/s."""
+_SIDE_BY_SIDE = 100
+"""Moments that are computed by several threads: a thread starts in the time of a few of them."""
 _SHARES = (0.5, 1.0)
 """Shares of a motion after a loss at which it is sampled."""
 
@@ -247,21 +250,38 @@ def _sampled_rates(
 
     Also the margins (k,) at these rates, and the vehicles (k,) without setpoints that have them.
     """
-    monitor = Monitor(plan)
-    needed = Needed(monitor.required, plan.mission.cable.diameter, accepted.exact)
-    memory = allocate_memory(monitor)
     rates = np.full(len(times), np.nan)
     margins, vehicles = np.full(len(times), -np.inf), np.zeros(len(times), dtype=np.intp)
     for rate in tried:
         open_ = np.flatnonzero(np.isnan(rates))
         if not len(open_):
             break
-        margin, vehicle = np.empty(len(open_)), np.empty(len(open_), dtype=np.intp)
-        write_margins(_losses(plan, times[open_], rate, overrun), needed, memory, margin, vehicle)
+        margin, vehicle = _margins(plan, overrun, times[open_], rate, accepted.exact)
         better = margin > margins[open_]
         margins[open_[better]], vehicles[open_[better]] = margin[better], vehicle[better]
         rates[open_[margin >= accepted.least]] = rate
     return rates, margins, vehicles
+
+
+def _margins(
+    plan: Plan, overrun: Overrun, times: Floats, rate: float, exact: float
+) -> tuple[Floats, Ints]:
+    """Return the margins (k,), and the vehicles (k,) without setpoints that have them."""
+    margins, vehicles = np.empty(len(times)), np.empty(len(times), dtype=np.intp)
+
+    def write(some: slice) -> None:
+        monitor = Monitor(plan)
+        needed = Needed(monitor.required, plan.mission.cable.diameter, exact)
+        margin, vehicle = np.empty(len(times[some])), np.empty(len(times[some]), dtype=np.intp)
+        losses = _losses(plan, times[some], rate, overrun)
+        write_margins(losses, needed, allocate_memory(monitor), margin, vehicle)
+        margins[some], vehicles[some] = margin, vehicle
+
+    # every other moment, because those that take long are next to each other
+    count = usual_threads() if len(times) >= _SIDE_BY_SIDE else 1
+    for _ in side_by_side(write, [slice(k, None, count) for k in range(count)], threads=count):
+        pass
+    return margins, vehicles
 
 
 def _reachable(limits: ClockLimits, times: Floats, rates: Floats) -> Floats:
