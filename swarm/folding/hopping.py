@@ -39,7 +39,7 @@ def basin_hopping(band: ElasticBand, offsets: Floats) -> Floats:
     ``offsets`` (c, n, 3) are the start.
     """
     for _ in range(_MOMENTS):
-        penalty = band.penalty(offsets, preferences=False)
+        penalty = band.penalty(offsets)
         worst = int(penalty.missed.argmax())
         if penalty.missed[worst] <= _ACCEPTED**2:
             break
@@ -66,6 +66,6 @@ def _hop(
         moved[begin:end, vehicle] += size * apart * bump[:, None] * direction
         moved = band.relaxed(moved, slice(begin, end), RELAXING)
         moments = slice(begin * band.density, end * band.density)
-        if band.penalty(moved, moments, preferences=False).missed.max() <= _ACCEPTED**2:
+        if band.penalty(moved, moments).missed.max() <= _ACCEPTED**2:
             return moved
     return None

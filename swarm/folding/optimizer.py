@@ -7,7 +7,7 @@ paths little. Offsets are smooth over time; a quasi-Newton method finds them, as
 beginning and the end.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from swarm.folding.neighbour_clearance import empty_margin_cache
 from swarm.folding.penalty import ExtraMargins, TeamGeometry
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
 
 _STIFFNESS = 1.0
 """Curvature of the cost of an offset of a metre at a stage, over that of a bend of a metre."""
@@ -103,19 +104,21 @@ def relax(band: "ElasticBand", offsets: Floats) -> Relaxed:
     ``offsets`` (c, n, 3) are the start.
     """
     stages = band.weights.argmax(axis=1)
-    missed = band.penalty(offsets).missed
+    missed, kept = band.missed(offsets, np.arange(len(stages)))
     worth = np.where(band.extra.present, _WORTH_OF_EXTRA * _WORTH, _WORTH)
     for done in range(_ROUNDS):
         tight = np.unique(stages[missed > worth])
         if not len(tight):
             break
         before = missed.sum()
-        for window in _windows(tight, len(offsets), _ASIDE * (1 + done)):
+        windows = _windows(tight, len(offsets), _ASIDE * (1 + done))
+        for window in windows:
             offsets = band.relaxed(offsets, window, RELAXING)
-        missed = band.penalty(offsets).missed
+        moved = band.moments(windows)
+        missed[moved], kept[moved] = band.missed(offsets, moved)
         if missed.sum() > _TOO_SLOW * before:
             break
-    return Relaxed(offsets, band.penalty(offsets, preferences=False).missed)
+    return Relaxed(offsets, kept)
 
 
 def straighten(band: "ElasticBand", offsets: Floats) -> Floats:
@@ -164,20 +167,29 @@ class ElasticBand:
         flat: Floats = self.weights @ offsets.reshape(len(offsets), -1)
         return self.positions + flat.reshape(self.positions.shape)
 
-    def penalty(
-        self, offsets: Floats, moments: slice = slice(None), *, preferences: bool = True
-    ) -> Penalty:
-        """Return the missed margins with offsets, at some moments or all."""
+    def moments(self, windows: Sequence[slice]) -> Ints:
+        """Return the moments that depend on the offsets in windows of stages."""
+        inside = [np.diff(self.weights[:, window].indptr) for window in windows]
+        found: Ints = np.flatnonzero(np.any(inside, axis=0))
+        return found
+
+    def penalty(self, offsets: Floats, moments: slice = slice(None)) -> Penalty:
+        """Return the missed margins with offsets, at some moments or all, without preferences."""
         positions = self.moved(offsets)[moments]
-        signs, extra = self.signs[moments], self.extra[moments]
-        return self.team.penalty(positions, signs, extra, preferences=preferences)
+        return self.team.penalty(
+            positions, self.signs[moments], self.extra[moments], preferences=False
+        )
+
+    def missed(self, offsets: Floats, moments: Ints) -> tuple[Floats, Floats]:
+        """Return the missed margins (m,) at moments (m,), with preferences and without."""
+        positions = self.moved(offsets)[moments]
+        return self.team.missed(positions, self.signs[moments], self.extra[moments])
 
     def relaxed(self, offsets: Floats, window: slice, settings: _Settings) -> Floats:
         """Return offsets of lower cost, changed within a window of stages."""
         smooth = _smoothing(window.stop - window.start, settings.bending)
-        inside = self.weights[:, window]
-        moments = np.flatnonzero(np.diff(inside.indptr))
-        weights = scipy.sparse.csr_array(inside[moments] @ smooth)
+        moments = self.moments([window])
+        weights = scipy.sparse.csr_array(self.weights[moments][:, window] @ smooth)
         back, smooth_back = scipy.sparse.csr_array(weights.T), scipy.sparse.csr_array(smooth.T)
         base = self.moved(offsets)[moments]
         signs, extra = self.signs[moments], self.extra[moments]

@@ -111,6 +111,15 @@ class TeamGeometry:
         found = list(side_by_side(part, parts, threads=len(parts)))
         return Penalty(*(np.concatenate(each) for each in zip(*found, strict=True)))
 
+    def missed(
+        self, positions: Floats, signs: CrossingSigns, extra: ExtraMargins
+    ) -> tuple[Floats, Floats]:
+        """Return the missed margins (s,) of :meth:`penalty`, with preferences and without."""
+        without = self.penalty(positions, signs, extra, preferences=False).missed
+        jets = Penalty(np.zeros(len(positions)), np.zeros(positions.shape))
+        penalize_downwash(positions, extra.jet, self.margins, jets)
+        return without + jets.missed, without
+
     def _penalty(
         self, positions: Floats, signs: CrossingSigns, extra: ExtraMargins, cache: MarginCache,
         preferences: bool,
@@ -189,5 +198,5 @@ def missed_margins(team: TeamGeometry, positions: Floats) -> Floats:
     for begin in range(0, len(positions), _BATCH):
         some = positions[begin : begin + _BATCH]
         signs = free_signs(len(some), len(team.lengths))
-        missed[begin : begin + _BATCH] = team.penalty(some, signs, preferences=True).missed
+        missed[begin : begin + _BATCH] = team.penalty(some, signs).missed
     return missed
