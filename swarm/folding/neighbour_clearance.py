@@ -23,6 +23,9 @@ Floats = npt.NDArray[np.float64]
 _LEAST_FREE = 0.5
 """Smallest free part of a strand, as a share of its length, however long the exempt length is."""
 
+_NOT_CLOSER = 1.0 + 1e-9
+"""Share of a distance of two points at which their strands are certain to be closer."""
+
 
 class MarginCache(NamedTuple):
     """Spare margins of neighbouring strands, computed at earlier positions.
@@ -227,8 +230,11 @@ def _penalize_free_part(
         high = min(int(limit), PIECES - 1) + 2
     for k in range(low, high):
         point_at(outline, _in_free_part(float(k), limit, not outward), part[k])
+    # pieces that are farther than the vehicle's side of the free part need not be compared
+    nearest = part[low] if outward else part[high - 1]
+    most = min(reach, _NOT_CLOSER * _nearest_corner(nearest, other[begin:end]))
     distance, here, there = polyline_distance_sized(
-        part[low:high], other[begin:end], sizes[neighbour - junction.first, begin : end - 1], reach
+        part[low:high], other[begin:end], sizes[neighbour - junction.first, begin : end - 1], most
     )
     if distance >= reach:
         return 0.0
@@ -272,6 +278,16 @@ def _close_points(points: Floats, reach: float, sine: float, outward: bool) -> t
     while count > 1 and step * (count - 1) >= reach:
         count -= 1
     return (0, count + 1) if outward else (PIECES - count, PIECES + 1)
+
+
+@inner
+def _nearest_corner(point: Floats, corners: Floats) -> float:
+    """Return the distance of the nearest of corners (k, 3) from a point."""
+    found = np.inf
+    for k in range(len(corners)):
+        x, y, z = corners[k, 0] - point[0], corners[k, 1] - point[1], corners[k, 2] - point[2]
+        found = min(found, x * x + y * y + z * z)
+    return float(np.sqrt(found))
 
 
 @inner

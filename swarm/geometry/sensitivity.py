@@ -35,6 +35,8 @@ _STEP = 0.04
 """Width of a bin in −log(1 − ratio), in which a norm like 1/√(1 − ratio) grows by 2 %."""
 _RATIOS = -np.expm1(-_STEP * np.arange(np.ceil(-np.log1p(-LARGEST_RATIO - 1e-9) / _STEP) + 1.0))
 """Lower ends of the bins of ratios."""
+_FIRST_BINS = np.searchsorted(_RATIOS, np.arange(4096) / 4096, side="right") - 1
+"""Bins in which equal shares of the ratios from 0 to 1 begin: a logarithm takes longer."""
 _CLASSES = np.radians([20.0, 40.0, 60.0, 70.0, 80.0, 90.0])
 """Upper ends of the classes of chord elevation; narrow near the vertical, where norms grow."""
 _SINES = np.sin(_CLASSES[:-1])
@@ -212,10 +214,13 @@ def _mean(norms: Floats, integrals: Floats, piece: int, ratios: RatioRange) -> f
     return min(mean, at_high)
 
 
-@compiled
+@inner
 def _bin(ratio: float) -> int:
-    """Return the bin of a ratio."""
-    return int(np.floor(-np.log1p(-ratio) / _STEP))
+    """Return the bin of a ratio, from 0 on."""
+    found: int = _FIRST_BINS[int(ratio * len(_FIRST_BINS))]
+    while found + 1 < len(_RATIOS) and _RATIOS[found + 1] <= ratio:
+        found += 1
+    return found
 
 
 @cache
