@@ -37,9 +37,19 @@ def test_a_lower_rate_holds_where_it_was_asked_for_and_time_goes_on(
     assert (last.rate <= first.rate + 1e-12).all()
     assert (last.rate >= 0.2 - 1e-9).all()
     around = np.abs(first.time + 0.5 * SHAPER.delays[-1] - moment) < 0.3
-    assert (last.rate[around] <= rate + 0.02).all()
+    assert (last.rate[around] <= max(rate, 0.75) + 0.02).all()
     # The rate changes within half a second or more: accelerations along the path stay small.
     assert np.abs(last.slope).max() <= (1.0 - rate) * 1.01 + 1e-9
+
+
+def test_a_much_lower_rate_is_reached_step_by_step() -> None:
+    """A slower motion is shaped less, and may pass where no rate helped before."""
+    times, slowed = np.arange(0.0, 15.0, 0.25), pacing()
+    least = []
+    for _ in range(7):
+        slowed = slowed.slowed_for_loss(times, np.where(np.abs(times - 7.0) < 0.3, 0.3, 1.0))
+        least.append(slowed.loss.min())
+    assert least == pytest.approx([0.75, 0.75**2, 0.75**3, 0.75**4, 0.75**5, 0.2, 0.2])
 
 
 def test_slowing_for_the_swing_acts_before_the_swing_only() -> None:
