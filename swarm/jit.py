@@ -77,9 +77,21 @@ def inner(function: Callable[Parameters, Result]) -> Callable[Parameters, Result
     return cast("Callable[Parameters, Result]", made)
 
 
+def allocates(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+    """Let a compiled function make arrays, or use those that others return; as inner decorator.
+
+    Its references to arrays are counted. That takes half of the time of functions that pass many
+    arrays on to others, and more where several threads count references to the same arrays. Other
+    functions do not count: they must not make or return arrays, nor call what returns them.
+    """
+    vars(function)["allocates"] = True
+    return function
+
+
 def _made(function: Callable[..., Any], folder: str, **options: Any) -> Any:
     """Return Numba's function with machine code kept in a folder of the cache, where that works."""
     before = numba.config.CACHE_DIR
+    options["_nrt"] = vars(function).get("allocates", False)
     try:
         # Not beside the module: pip uninstall leaves files that it did not install, and Python
         # treats the remaining folders as a package.

@@ -1,14 +1,22 @@
 """Compiled functions are compiled again when their sources have changed."""
 
+import importlib
 import os
+import pkgutil
 import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, get_args, get_origin, get_type_hints
 
+import numpy as np
 import pytest
+from numba.core.dispatcher import Dispatcher
 
+import sitl
+import swarm
 from swarm import jit, precompile
 from swarm.geometry.vectors import dot
 from swarm.jit import key, sealed
@@ -181,3 +189,39 @@ def test_an_inner_function_can_be_called_from_python_but_not_in_flight() -> None
     assert jit.declared(dot) is None
     with sealed(), pytest.warns(RuntimeWarning, match=r"vectors\.dot is interpreted"):
         assert dot((1.0, 2.0, 3.0), (4.0, 5.0, 6.0)) == 32.0
+
+
+def compiled_functions() -> Iterator[Any]:
+    for package in (swarm, sitl):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if "jit import" in Path(module.module_finder.find_spec(module.name).origin).read_text():
+                found = vars(importlib.import_module(module.name)).values()
+                yield from (one for one in found if isinstance(one, Dispatcher))
+
+
+def has_arrays(annotation: Any) -> bool:
+    if np.ndarray in (annotation, get_origin(annotation)):
+        return True
+    fields = get_type_hints(annotation).values() if hasattr(annotation, "_fields") else ()
+    return any(has_arrays(part) for part in (*get_args(annotation), *fields))
+
+
+def makes_arrays(function: Dispatcher) -> bool:
+    return has_arrays(get_type_hints(function.py_func).get("return"))
+
+
+def test_functions_that_return_arrays_or_use_such_count_references() -> None:
+    """Without counts the compiler refuses to make arrays, but not to leak those of others."""
+    functions = set(compiled_functions())
+    assert len(functions) > 300
+    counting = {one for one in functions if vars(one.py_func).get("allocates")}
+    makers = {one for one in functions if makes_arrays(one)}
+    users = {
+        one
+        for one in functions
+        for name in one.py_func.__code__.co_names
+        if any(one.py_func.__globals__.get(name) is made for made in makers)
+    }
+    assert len(makers) >= 3
+    assert users - makers
+    assert (makers | users) - counting == set()

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarm.geometry.lumped_mass import solve_tridiagonal
-from swarm.jit import compiled, inner
+from swarm.jit import allocates, compiled, inner
 from swarm.signatures import Bools1, Floats1, Floats2
 
 Array = NDArray[np.float64]
@@ -78,6 +78,7 @@ class Guidance(NamedTuple):
 
 
 @compiled
+@allocates
 def advance(chain: Chain, spec: ChainSpec, guidance: Guidance, interval: float, steps: int) -> None:
     """Advance a chain by ``interval`` seconds in ``steps`` steps, in place.
 
@@ -155,6 +156,7 @@ def _add_means(chain: Chain, multiplier: Array, impulse: Array, scale: float) ->
 
 
 @inner
+@allocates
 def _move_freely(
     chain: Chain, spec: ChainSpec, guidance: Guidance, step: float, share: float, after: Array
 ) -> None:
@@ -196,6 +198,7 @@ def _move_freely(
 
 
 @inner
+@allocates
 def _restore_links(
     chain: Chain, spec: ChainSpec, after: Array, system: Array, impulse: Array, step: float
 ) -> None:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from swarm.jit import compiled, inner
+from swarm.jit import allocates, compiled, inner
 from swarm.signatures import Columns2, Floats1, Floats2, Ints1, Ints2
 
 Array = NDArray[np.float64]
@@ -156,6 +156,7 @@ def end_forces(
 
 
 @compiled
+@allocates
 def add_elastic_forces(
     ends: Floats2, holders: Ints1, velocity: Columns2, solution: Floats2,
     constants: tuple[float, float, float, float], forces: tuple[Floats2, Floats1],

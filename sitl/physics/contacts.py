@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sitl.physics.dynamics import Bodies
 from sitl.physics.motion import POSITION
-from swarm.jit import compiled
+from swarm.jit import allocates, compiled
 from swarm.signatures import Bools1, Floats1, Floats2, Floats3
 
 _HEIGHT = 0.25
@@ -79,6 +79,7 @@ class Contacts:
 
 
 @compiled
+@allocates
 def _touched(
     cable: Floats2, state: Floats3, radius: Floats1,
     spinning: Bools1,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.physics.geodesy import GRAVITY
-from swarm.jit import compiled, inner
+from swarm.jit import allocates, compiled, inner
 from swarm.signatures import Bools1, Floats1, Floats2, Floats3, Singles2
 
 Array = NDArray[np.float64]
@@ -159,6 +159,7 @@ def free_motion(
 
 
 @compiled
+@allocates
 def step_disturbances(
     state: Floats3, disturbances: Floats3, constants: Floats2, air: tuple[Floats2, Floats2],
     apart: Floats2, factors: tuple[float, float, float, float, float, float],
@@ -220,6 +221,7 @@ def _add_gusts(gust: Array, disturbances: Array) -> None:
 
 
 @inner
+@allocates
 def _downwash(state: Array, constants: Array, apart: Array) -> Array:
     """Return the downward air speed (n,) at every vehicle from those above it.
 
@@ -288,6 +290,7 @@ def _attitude(body: Array, tumbles: bool, tumble: float, yaw: float) -> tuple[fl
 
 
 @compiled
+@allocates
 def tilts(state: Floats3, tumbling: Bools1, tumble: Floats1) -> Array:
     """Return the angles of all thrusts from vertical (n,), radians."""
     leans = np.zeros(len(state))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.physics.geodesy import GRAVITY
-from swarm.jit import compiled, inner
+from swarm.jit import allocates, compiled, inner
 from swarm.signatures import Floats1, Floats2
 
 Array = NDArray[np.float64]
@@ -76,6 +76,7 @@ def thrusts(command: Array, largest: Array) -> Array:
 
 
 @compiled
+@allocates
 def step(
     state: Floats2, frame: Frame, wanted: Floats2, outside: Floats2, floor: float, interval: float
 ) -> Array:

@@ -16,7 +16,7 @@ from sitl.physics.dynamics import Bodies
 from sitl.protocol import wire
 from sitl.protocol.links import Link
 from sitl.protocol.vehicle import Vehicle
-from swarm.jit import compiled, inner
+from swarm.jit import allocates, compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, Ints1
 
 Array = NDArray[np.float64]
@@ -93,6 +93,7 @@ class Incoming:
 
 
 @compiled
+@allocates
 def _set_goals(
     packets: bytes, indices: bytes, systems: Ints1, now: Floats3, frames: Floats2, goal_yaw: Floats1
 ) -> int:

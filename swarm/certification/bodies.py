@@ -28,6 +28,7 @@ from swarm.certification.strand_pieces import (
     Part,
     Piece,
     held_piece,
+    held_strand,
     largest_movement,
     piece_movement,
 )
@@ -144,10 +145,9 @@ def _write_margins(
             ends = NEAR_END
         tracking = cable.tracking if ends == BOTH_ENDS else 2.0 * cable.tracking
         grips = ends_at(cable.motion, instant, segment)
-        piece = held_piece(
-            cable, segment, grips, instant, Part(middle[1], half[1], 0.0, 1.0),
-            Displacement(grip.velocity, ends, tracking, grip.deviation),
-        )  # fmt: skip
+        displacement = Displacement(grip.velocity, ends, tracking, grip.deviation)
+        held = held_strand(cable, segment, grips, instant, displacement)
+        piece = held_piece(cable, held, instant, Part(middle[1], half[1], 0.0, 1.0))
         limits = 0.5 * kept.diameter, kept.required[boxes.group[b]], boxes.enough
         _write_margin(cable, piece, (grip, body), limits, b, found)
 

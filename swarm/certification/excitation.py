@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries
-from swarm.jit import compiled, inner
+from swarm.jit import allocates, compiled, inner
 from swarm.signatures import Floats1, Floats2
 
 Floats = npt.NDArray[np.float64]
@@ -181,6 +181,7 @@ class _Driven(NamedTuple):
 
 
 @compiled
+@allocates
 def _settle(driven: _Driven, variances: Floats1) -> None:
     """Write the variances (k,) after a long hold over a first guess of them."""
     ratios = np.empty_like(variances)
@@ -191,6 +192,7 @@ def _settle(driven: _Driven, variances: Floats1) -> None:
 
 
 @compiled
+@allocates
 def _follow(driven: _Driven, speeds: Floats1, variances: Floats1) -> None:
     """Let variances (k,) follow the speeds (m,), STEP seconds each."""
     ratios = np.empty_like(variances)

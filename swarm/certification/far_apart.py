@@ -44,10 +44,18 @@ class _Cable(NamedTuple):
 
 
 class _Body(NamedTuple):
-    """Radius and height of a vehicle above its grip point, metres."""
+    """Radius and height of a vehicle above its grip point, and the distance to keep, metres."""
 
     radius: float
     height: float
+    distance: float
+
+
+class _Memory(NamedTuple):
+    """Working memory: two ``boxes`` (2, 6), and the velocity (3,) of a frame."""
+
+    boxes: Floats2
+    frame: Floats1
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +71,8 @@ class FarPairs:
         found = np.empty(len(boxes), dtype=np.bool_)
         team, instant = _team_of(self.cable, boxes)
         pairs = np.ascontiguousarray(self.pairs[boxes.group])
-        _write_far_strands(team, _cable_of(self.cable), instant, pairs, self.distance, found)
+        cable, which = _cable_of(self.cable), (instant, pairs)
+        _write_far_strands(team, cable, which, self.distance, _memory(), found)
         return found
 
 
@@ -86,9 +95,13 @@ class FarVehicles:
         found = np.empty(len(boxes), dtype=np.bool_)
         team, instant = _team_of(self.cable, boxes)
         pairs = np.ascontiguousarray(self.pairs[boxes.group])
-        cable, body = _cable_of(self.cable), _Body(self.radius, self.height)
-        _write_far_vehicles(team, cable, (instant, pairs), body, self.distance, found)
+        cable, body = _cable_of(self.cable), _Body(self.radius, self.height, self.distance)
+        _write_far_vehicles(team, cable, (instant, pairs), body, _memory(), found)
         return found
+
+
+def _memory() -> _Memory:
+    return _Memory(np.empty((2, 6)), np.empty(3))
 
 
 def _team_of(cable: HeldCable, boxes: Boxes) -> tuple[_Team, Ints]:
@@ -106,10 +119,11 @@ def _cable_of(cable: HeldCable) -> _Cable:
 
 @compiled
 def _write_far_strands(
-    team: _Team, cable: _Cable, instant: Ints1, pairs: Ints2, distance: float, far: Bools1
-) -> None:
+    team: _Team, cable: _Cable, which: tuple[Ints1, Ints2], distance: float, memory: _Memory,
+    far: Bools1,
+) -> None:  # fmt: skip
     """Write which pairs (b, 2) of segments at instants (b,) are farther apart than a distance."""
-    boxes, frame = np.empty((2, 6)), np.empty(3)
+    (instant, pairs), (boxes, frame) = which, memory
     for b in range(len(instant)):
         m, i, j = instant[b], pairs[b, 0], pairs[b, 1]
         for axis in range(3):
@@ -123,12 +137,11 @@ def _write_far_strands(
 
 @compiled
 def _write_far_vehicles(
-    team: _Team, cable: _Cable, which: tuple[Ints1, Ints2], body: _Body, distance: float,
+    team: _Team, cable: _Cable, which: tuple[Ints1, Ints2], body: _Body, memory: _Memory,
     far: Bools1,
 ) -> None:  # fmt: skip
     """Write which vehicles and segments (b, 2) at instants (b,) are farther apart."""
-    boxes = np.empty((2, 6))
-    instant, pairs = which
+    (instant, pairs), boxes = which, memory.boxes
     for b in range(len(instant)):
         m, vehicle = instant[b], pairs[b, 0]
         spare = team.deviation[m, vehicle] + 2.0 * cable.tracking
@@ -137,7 +150,7 @@ def _write_far_vehicles(
             grip = team.position[m, vehicle, axis]
             boxes[1, axis] = grip - body.radius if axis < 2 else grip
             boxes[1, 3 + axis] = grip + (body.radius if axis < 2 else body.height)
-        far[b] = _apart(boxes, distance + cable.swing)
+        far[b] = _apart(boxes, body.distance + cable.swing)
 
 
 @inner

@@ -14,6 +14,7 @@ from swarm.certification.strand_pieces import (
     Part,
     Piece,
     held_piece,
+    held_strand,
     largest_movement,
     piece_movement,
 )
@@ -78,8 +79,8 @@ class InsideFenceInWind:
         """Enclose the margin in each box; coordinates are time and the strand's fraction."""
         found = Enclosure.not_found(boxes)
         sides = contiguous(_sides(self.fence))
-        half = 0.5 * self.diameter
-        _write_margins(self.cable.tables, sides, half, boxes.arrays(), found.arrays())
+        half, chord = 0.5 * self.diameter, np.empty((2, 3))
+        _write_margins(self.cable.tables, sides, half, boxes.arrays(), chord, found.arrays())
         return found
 
 
@@ -105,18 +106,20 @@ def _write_inside(point: Floats2, sides: Floats3, found: Bools1) -> None:
 
 @compiled
 def _write_margins(
-    cable: CableTables, sides: Floats3, radius: float, boxes: BoxArrays, found: EnclosureArrays
-) -> None:
-    """Write the margins of strands of a radius to the sides (m, 2, 3) of a fence, in boxes."""
-    chord = np.zeros((2, 3))
+    cable: CableTables, sides: Floats3, radius: float, boxes: BoxArrays, chord: Floats2,
+    found: EnclosureArrays,
+) -> None:  # fmt: skip
+    """Write the margins of strands of a radius to the sides (m, 2, 3) of a fence, in boxes.
+
+    ``chord`` (2, 3) is memory.
+    """
     for b in range(len(boxes.group)):
         middle, half, segment = boxes.middle[b], boxes.half[b], boxes.group[b]
         instant = instant_at(cable.motion, middle[0], half[0])
         grips = ends_at(cable.motion, instant, segment)
-        piece = held_piece(
-            cable, segment, grips, instant, Part(middle[1], half[1], 0.0, 1.0),
-            Displacement((0.0, 0.0, 0.0), BOTH_ENDS, cable.tracking, 0.0),
-        )  # fmt: skip
+        displacement = Displacement((0.0, 0.0, 0.0), BOTH_ENDS, cable.tracking, 0.0)
+        held = held_strand(cable, segment, grips, instant, displacement)
+        piece = held_piece(cable, held, instant, Part(middle[1], half[1], 0.0, 1.0))
         low, high, in_time = np.inf, np.inf, 0.0
         for side in sides:
             to_low, to_high, doubt = _from_wall(cable, piece, side, chord, radius)

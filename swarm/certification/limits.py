@@ -21,6 +21,7 @@ from swarm.certification.strand_pieces import (
     HeldCable,
     Part,
     held_piece,
+    held_strand,
     largest_movement,
     piece_movement,
     strand_point,
@@ -134,10 +135,9 @@ def _write_heights(
 def _lowest(cable: CableTables, segment: int, instant: Instant) -> tuple[float, Vector]:
     """Return a bound of the vertical movement of a strand, and its lowest point."""
     grips = ends_at(cable.motion, instant, segment)
-    piece = held_piece(
-        cable, segment, grips, instant, Part(0.5, 0.5, 0.0, 1.0),
-        Displacement(_level_velocity(grips), BOTH_ENDS, cable.tracking, 0.0),
-    )  # fmt: skip
+    displacement = Displacement(_level_velocity(grips), BOTH_ENDS, cable.tracking, 0.0)
+    held = held_strand(cable, segment, grips, instant, displacement)
+    piece = held_piece(cable, held, instant, Part(0.5, 0.5, 0.0, 1.0))
     # The lowest point is where the tangent is level; in wind, gravity is not vertical.
     strand = piece.strand
     catenary, level_slope = strand.catenary, strand.heading[2] / cable.down[2]

@@ -15,7 +15,7 @@ from swarm.certification.coarse_distance import box_distance, squared_point_dist
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.catenary_kernel import sample_strand
 from swarm.geometry.distance import point_distance, polyline_distance
-from swarm.jit import compiled, inner
+from swarm.jit import allocates, compiled, inner
 from swarm.planning import CableState, Plan
 from swarm.signatures import Floats1, Floats2, Floats3, Ints2
 
@@ -199,6 +199,7 @@ def _chord_margin(moments: Floats, longest: Floats) -> float:
 
 
 @compiled
+@allocates
 def swinging_distance(
     moments: Floats3, strays: Floats1, required: RequiredNow, points: Floats3
 ) -> float:
@@ -217,6 +218,7 @@ def swinging_distance(
 
 
 @compiled
+@allocates
 def _strand_distance(grips: Floats2, required: RequiredNow, far: float, points: Floats3) -> float:
     """Smallest distance between the middles of strands at grip points (n, 3).
 

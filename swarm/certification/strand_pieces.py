@@ -149,6 +149,14 @@ class _EndMotion(NamedTuple):
     relative_tracking: float
 
 
+class HeldStrand(NamedTuple):
+    """The strand of a ``segment`` at an instant, with the movement of its grip points."""
+
+    segment: int
+    strand: Strand
+    end_motion: _EndMotion
+
+
 class Piece(NamedTuple):
     """A piece of a strand, from ``begin`` to ``end``, at the middle instant.
 
@@ -210,16 +218,23 @@ def strand_point(strand: Strand, down: Vector, fraction: float) -> Vector:
 
 
 @inner
-def held_piece(
+def held_strand(
     cable: CableTables,
     segment: int,
     grips: tuple[Grip, Grip],
     instant: Instant,
-    part: Part,
     displacement: Displacement,
-) -> Piece:
-    """Return a piece of a segment with bounds of the movement of its grip points."""
+) -> HeldStrand:
+    """Return the strand of a segment with bounds of the movement of its grip points."""
     strand = strand_between(cable, segment, grips[0].place, grips[1].place)
+    motion = _end_motion(grips, instant.half, displacement, 2.0 * cable.tracking)
+    return HeldStrand(segment, strand, motion)
+
+
+@inner
+def held_piece(cable: CableTables, held: HeldStrand, instant: Instant, part: Part) -> Piece:
+    """Return a piece of a strand."""
+    strand = held.strand
     begin, end = counted(part)
     near, far = strand_point(strand, cable.down, begin), strand_point(strand, cable.down, end)
     across, arc = size(difference(far, near)), strand.catenary.length * (end - begin)
@@ -232,8 +247,8 @@ def held_piece(
         near,
         far,
         0.5 * math.sqrt(max(arc * arc - across * across, 0.0)),
-        _end_motion(grips, instant.half, displacement, 2.0 * cable.tracking),
-        radii_over(cable.tube, segment, number, (instant.time, instant.half)),
+        held.end_motion,
+        radii_over(cable.tube, held.segment, number, (instant.time, instant.half)),
     )
 
 

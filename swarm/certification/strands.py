@@ -13,15 +13,17 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.branch_and_bound import BoxArrays, Boxes, Enclosure, EnclosureArrays
-from swarm.certification.motion_bounds import Grip, ends_at, grip_at, instant_at
+from swarm.certification.motion_bounds import Grip, Instant, ends_at, grip_at, instant_at
 from swarm.certification.strand_pieces import (
     CableTables,
     Displacement,
     HeldCable,
+    HeldStrand,
     Part,
     Piece,
     counted,
     held_piece,
+    held_strand,
     largest_movement,
     piece_movement,
 )
@@ -62,16 +64,21 @@ class StrandPairs:
         found = Enclosure.not_found(boxes)
         pairs = _Pairs(contiguous(self.pairs), contiguous(self.parts))
         required = self.diameter + self.required
-        _write_margins(self.cable.tables, pairs, required, boxes.arrays(), found.arrays())
+        tables, chords = self.cable.tables, np.empty((2, 2, 3))
+        _write_margins(tables, pairs, required, boxes.arrays(), chords, found.arrays())
         return found
 
 
 @compiled
 def _write_margins(
-    cable: CableTables, pairs: _Pairs, required: float, boxes: BoxArrays, found: EnclosureArrays
-) -> None:
-    """Write the margins of pairs in the boxes whose pieces count."""
-    chords = np.empty((2, 2, 3))
+    cable: CableTables, pairs: _Pairs, required: float, boxes: BoxArrays, chords: Floats3,
+    found: EnclosureArrays,
+) -> None:  # fmt: skip
+    """Write the margins of pairs in the boxes whose pieces count.
+
+    Half of the time goes into the strands at an instant, which boxes one after the other share.
+    """
+    known = -1
     for b in range(len(boxes.group)):
         middle, half, parts = boxes.middle[b], boxes.half[b], pairs.parts[boxes.group[b]]
         part = Part(middle[1], half[1], parts[0, 0], parts[0, 1])
@@ -79,20 +86,41 @@ def _write_margins(
         (begin, end), (other_begin, other_end) = counted(part), counted(other_part)
         if begin >= end or other_begin >= other_end:
             continue
-        first, second = pairs.segments[boxes.group[b]]
-        instant = instant_at(cable.motion, middle[0], half[0])
-        grips = ends_at(cable.motion, instant, first)
-        ends, other_ends = BOTH_ENDS, BOTH_ENDS
-        if second == first + 1:
-            ends, other_ends = NEAR_END, FAR_END
-            others = grips[1], grip_at(cable.motion, instant, second + 1)
-        else:
-            others = ends_at(cable.motion, instant, second)
-        displacement = _displacement(cable.tracking, grips, others, ends)
-        one = held_piece(cable, first, grips, instant, part, displacement)
-        displacement = _displacement(cable.tracking, grips, others, other_ends)
-        other = held_piece(cable, second, others, instant, other_part, displacement)
+        if known < 0 or not _same_instant(boxes, known, b):
+            known, instant = b, instant_at(cable.motion, middle[0], half[0])
+            held, other_held = _held_pair(cable, pairs.segments[boxes.group[b]], instant)
+        one = held_piece(cable, held, instant, part)
+        other = held_piece(cable, other_held, instant, other_part)
         _write_margin(cable, (one, other), (required, boxes.enough), chords, b, found)
+
+
+@inner
+def _same_instant(boxes: BoxArrays, a: int, b: int) -> bool:
+    """Return whether two boxes are of the same pair in the same interval of time."""
+    return bool(
+        boxes.group[a] == boxes.group[b]
+        and boxes.middle[a, 0] == boxes.middle[b, 0]
+        and boxes.half[a, 0] == boxes.half[b, 0]
+    )
+
+
+@inner
+def _held_pair(cable: CableTables, pair: Ints, instant: Instant) -> tuple[HeldStrand, HeldStrand]:
+    """Return the strands of two segments (2,) at an instant."""
+    first, second = pair
+    grips = ends_at(cable.motion, instant, first)
+    ends, other_ends = BOTH_ENDS, BOTH_ENDS
+    if second == first + 1:
+        ends, other_ends = NEAR_END, FAR_END
+        others = grips[1], grip_at(cable.motion, instant, second + 1)
+    else:
+        others = ends_at(cable.motion, instant, second)
+    moves = _displacement(cable.tracking, grips, others, ends)
+    other_moves = _displacement(cable.tracking, grips, others, other_ends)
+    return (
+        held_strand(cable, first, grips, instant, moves),
+        held_strand(cable, second, others, instant, other_moves),
+    )
 
 
 @inner

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.jit import compiled
+from swarm.jit import allocates, compiled
 from swarm.mavlink.telemetry_table import ATTITUDE, BOOT_TIME, POSITION, POSITION_AT, VELOCITY
 from swarm.signatures import Bools1, Floats1, Floats2, Floats3, Ints1
 
@@ -142,6 +142,7 @@ def evaluate_piece(
 
 
 @compiled
+@allocates
 def setpoints_ned(
     state: tuple[Floats2, Floats2, Floats2], lead: float, mobility: Floats1,
     pull: tuple[Floats2, Floats2, float], frames: tuple[Floats3, Floats2, Floats1], states: Floats3,

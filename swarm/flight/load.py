@@ -11,7 +11,7 @@ import numpy.typing as npt
 from swarm.geometry import catenary_kernel
 from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.geometry.floor import rest_on_floor
-from swarm.jit import inner
+from swarm.jit import allocates, inner
 from swarm.planning import Plan
 from swarm.signatures import Floats1, Floats2
 
@@ -45,6 +45,7 @@ def cable_pull(grip_points: Floats, lengths: Floats, mass_per_length: float) -> 
 
 
 @inner
+@allocates
 def end_forces(
     start: Floats2, end: Floats2, lengths: Floats1, mass_per_length: float
 ) -> tuple[Floats, Floats]:

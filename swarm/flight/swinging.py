@@ -187,6 +187,8 @@ def measure_strays(
                 square += (joints[j, x] - still[j, x]) ** 2
             known = known and square < np.inf
             most = max(most, square)
+        strays[s] = np.sqrt(most) if known else 0.0
         if not known:
-            states[0, s], states[1, s], most = still, still, 0.0
-        strays[s] = np.sqrt(most)
+            for j in range(len(still)):
+                for x in range(3):
+                    states[0, s, j, x] = states[1, s, j, x] = still[j, x]

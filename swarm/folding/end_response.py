@@ -18,10 +18,12 @@ from swarm.geometry.sensitivity import (
     FAR_END,
     EndMovement,
     Sensitivity,
+    chord_range,
     chord_response,
-    error_of_ends,
     finest_piece,
+    movement_bound,
 )
+from swarm.geometry.vectors import Vector
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats3
 
@@ -53,9 +55,10 @@ def write_largest_response(
     shape: Floats, tracking: float, tables: Sensitivity, found: Floats
 ) -> None:
     """As :func:`write_largest_responses`, for one strand: ``shape`` (5,), ``found`` (2,)."""
-    moved = error_of_ends(BOTH_ENDS, tracking), error_of_ends(FAR_END, 2.0 * tracking)
-    for k in range(2):
-        found[k] = largest_response(shape, 1, moved[k], tables)
+    strand, relative = catenary_of(shape), 2.0 * tracking
+    steep, ratios = chord_range(strand.rise, strand.span, strand.length, relative)
+    found[0] = _size(movement_bound(tables, steep, BOTH_ENDS, 1, ratios))
+    found[1] = _size(movement_bound(tables, steep, FAR_END, 1, ratios))
 
 
 @inner
@@ -74,14 +77,23 @@ def arc_fraction(shape: Floats, share: float) -> float:
 
 
 @inner
-def largest_response(shape: Floats, piece: int, moved: EndMovement, tables: Sensitivity) -> float:
-    """Return the largest movement of a piece of a strand, in any direction, per metre of its ends.
-
-    ``piece`` is the heap number of the piece, 1 the whole strand.
-    """
+def largest_responses(
+    shape: Floats, pieces: tuple[int, int], moved: EndMovement, tables: Sensitivity
+) -> tuple[float, float]:
+    """Return the largest movements of two pieces of a strand, in any direction, per metre of its
+    ends; ``pieces`` are their heap numbers."""
     strand = catenary_of(shape)
-    level, rising = chord_response(strand.rise, strand.span, strand.length, moved, piece, tables)
-    return float(np.sqrt(level * level + rising * rising))
+    steep, ratios = chord_range(strand.rise, strand.span, strand.length, moved.relative)
+    return (
+        _size(movement_bound(tables, steep, moved.ends, pieces[0], ratios)),
+        _size(movement_bound(tables, steep, moved.ends, pieces[1], ratios)),
+    )
+
+
+@inner
+def _size(parts: tuple[float, float]) -> float:
+    """Return the size of a vector by its horizontal and its vertical part."""
+    return float(np.sqrt(parts[0] * parts[0] + parts[1] * parts[1]))
 
 
 @inner
@@ -107,9 +119,9 @@ def add_to_ends(
     points: Floats,
     shape: Floats,
     fraction: float,
-    push: Floats,
+    push: Vector,
 ) -> None:
-    """Add to the gradient (n, 3) the derivative ``push`` (3,) by a point of a segment.
+    """Add to the gradient (n, 3) the derivative ``push`` by a point of a segment.
 
     The point follows the ends by the strand's linear response; where that is not defined, and on
     over-stretched strands, in proportion to its nearness to each.
@@ -122,18 +134,28 @@ def add_to_ends(
     if not (chord < _REACHES * strand.length and response.determinant > DEGENERATE):
         ahead, rising, share = fraction * along, fraction * up, fraction
     span = _span(points)
-    for axis in range(2):
-        heading = (points[-1, axis] - points[0, axis]) / span
-        by_end = ahead * heading + share * (push[axis] - along * heading)
-        gradient[segment, axis] += push[axis] - by_end
-        gradient[segment + 1, axis] += by_end
-    gradient[segment, 2] += push[2] - rising
-    gradient[segment + 1, 2] += rising
+    east, north = (points[-1, 0] - points[0, 0]) / span, (points[-1, 1] - points[0, 1]) / span
+    by_end = (
+        ahead * east + share * (push[0] - along * east),
+        ahead * north + share * (push[1] - along * north),
+        rising,
+    )
+    add_to(gradient, segment, push, 1.0)
+    add_to(gradient, segment, by_end, -1.0)
+    add_to(gradient, segment + 1, by_end, 1.0)
 
 
 @inner
-def _in_plane(points: Floats, vector: Floats) -> tuple[float, float]:
-    """Return the parts of a vector (3,) along the heading of an outline and upward."""
+def add_to(gradient: Floats, vehicle: int, push: Vector, times: float) -> None:
+    """Add ``times`` a vector to the gradient (n, 3) of a vehicle."""
+    gradient[vehicle, 0] += times * push[0]
+    gradient[vehicle, 1] += times * push[1]
+    gradient[vehicle, 2] += times * push[2]
+
+
+@inner
+def _in_plane(points: Floats, vector: Vector) -> tuple[float, float]:
+    """Return the parts of a vector along the heading of an outline and upward."""
     level = (points[-1, 0] - points[0, 0]) * vector[0] + (points[-1, 1] - points[0, 1]) * vector[1]
     return level / _span(points), vector[2]
 

@@ -18,7 +18,7 @@ from swarm.geometry.catenary_kernel import Catenary, solve_catenary, strand_poly
 from swarm.geometry.catenary_shape import drop_at
 from swarm.geometry.distance import point_distance
 from swarm.geometry.sensitivity import BOTH_ENDS, FINEST, chord_response, error_of_ends
-from swarm.jit import compiled, inner
+from swarm.jit import allocates, compiled, inner
 from swarm.signatures import Floats1, Floats2, Ints1, Signs1, Signs2
 
 Floats = npt.NDArray[np.float64]
@@ -115,6 +115,7 @@ class _Extent(NamedTuple):
 
 
 @compiled
+@allocates
 def fill_costs(
     ahead: VehicleLattice,
     behind: VehicleLattice,

@@ -9,12 +9,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.end_response import add_to_ends, arc_fraction, largest_response, point_movement
+from swarm.folding.end_response import add_to_ends, arc_fraction, largest_responses, point_movement
 from swarm.folding.margins import Penalty, PenaltyModel, Team
 from swarm.folding.outlines import PIECES, direction_between, point_at
 from swarm.folding.strand_clearance import preferred_distance
 from swarm.geometry.distance import point_distance, polyline_distance_sized
 from swarm.geometry.sensitivity import FAR_END, FINEST, NEAR_END, error_of_ends, finest_piece
+from swarm.geometry.vectors import times
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats4
 
@@ -52,17 +53,27 @@ class Chain(NamedTuple):
     response: Floats
 
 
+class JunctionMemory(NamedTuple):
+    """Working memory: ``sizes`` (2, PIECES) for the lengths of edges, ``part`` (PIECES + 1, 3)."""
+
+    sizes: Floats2
+    part: Floats2
+
+
+def junction_memory() -> JunctionMemory:
+    """Return memory, which one computation at a time may use."""
+    return JunctionMemory(np.empty((2, PIECES)), np.empty((PIECES + 1, 3)))
+
+
 class Junction(NamedTuple):
     """Two strands that meet at a vehicle: segments ``first`` and ``first + 1``.
 
-    ``extra`` metres are required beyond the margin. ``sizes`` (2, PIECES), for the lengths of their
-    edges, and ``part`` (PIECES + 1, 3) are buffers.
+    ``extra`` metres are required beyond the margin.
     """
 
     first: int
     extra: float
-    sizes: Floats
-    part: Floats
+    memory: JunctionMemory
 
 
 class _FreePart(NamedTuple):
@@ -81,14 +92,14 @@ class _FreePart(NamedTuple):
 
 @compiled
 def penalize_neighbours(
-    team: Team, extra: Floats1, model: PenaltyModel, cache: MarginCache, penalty: Penalty
-) -> None:
+    team: Team, extra: Floats1, model: PenaltyModel, cache: MarginCache, memory: JunctionMemory,
+    penalty: Penalty,
+) -> None:  # fmt: skip
     """Add the missed margins of strands that meet at a vehicle; ``extra`` (s,) as elsewhere.
 
     Pairs with a spare margin in the cache are skipped; others are written to it. The cache is valid
     as long as nothing but positions changes.
     """
-    part, sizes = np.empty((PIECES + 1, 3)), np.empty((2, PIECES))
     for s in range(len(team.points)):
         chain = Chain(team.points[s], team.shapes[s], team.response[s])
         points, response = chain.points, chain.response
@@ -98,7 +109,7 @@ def penalize_neighbours(
             movement = _movement(before, after, response[i, 0], response[i + 1, 0])
             if _is_cached(before, after, movement, cache.spare[s, i], cache.positions[s, i]):
                 continue
-            junction = Junction(i, extra[s], sizes, part)
+            junction = Junction(i, extra[s], memory)
             cache.spare[s, i] = penalize_junction(chain, junction, model, moment)
 
 
@@ -110,7 +121,7 @@ def penalize_junction(
 
     Return the metres that remain of the preferred margin, negative where it is missed.
     """
-    i, sizes, margins = junction.first, junction.sizes, model.margins
+    i, sizes, margins = junction.first, junction.memory.sizes, model.margins
     before, after = chain.points[i], chain.points[i + 1]
     shape, shape_after = chain.shapes[i], chain.shapes[i + 1]
     for k in range(PIECES):
@@ -127,10 +138,10 @@ def penalize_junction(
         # Points farther along move more with the far end, but by less than they are apart.
         at_end, at_start = error_of_ends(FAR_END, tracking), error_of_ends(NEAR_END, tracking)
         piece, piece_after = finest_piece(1, free), finest_piece(1, 1.0 - free_after)
-        error = largest_response(shape, piece, at_start, model.tables)
-        error += largest_response(shape_after, FINEST, at_end, model.tables)
-        error_after = largest_response(shape_after, piece_after, at_end, model.tables)
-        error_after += largest_response(shape, 2 * FINEST - 1, at_start, model.tables)
+        pieces, pieces_after = (piece, 2 * FINEST - 1), (piece_after, FINEST)
+        error, last = largest_responses(shape, pieces, at_start, model.tables)
+        error_after, begun = largest_responses(shape_after, pieces_after, at_end, model.tables)
+        error, error_after = error + begun, error_after + last
         least = min(level - tracking * error, level_after - tracking * error_after)
         if least > wanted:
             return least - wanted
@@ -219,7 +230,7 @@ def _penalize_free_part(
     """
     points, shapes = chain.points, chain.shapes
     own, limit, reach = free.segment, free.limit, free.reach
-    sizes, part = junction.sizes, junction.part
+    sizes, part = junction.memory
     neighbour = 2 * junction.first + 1 - own
     outline, other, outward = points[own], points[neighbour], own > neighbour
     low, high = _close_points(outline, reach, free.sine, outward)
@@ -229,7 +240,8 @@ def _penalize_free_part(
     else:
         high = min(int(limit), PIECES - 1) + 2
     for k in range(low, high):
-        point_at(outline, _in_free_part(float(k), limit, not outward), part[k])
+        corner = point_at(outline, _in_free_part(float(k), limit, not outward))
+        part[k, 0], part[k, 1], part[k, 2] = corner
     # pieces that are farther than the vehicle's side of the free part need not be compared
     nearest = part[low] if outward else part[high - 1]
     most = min(reach, _NOT_CLOSER * _nearest_corner(nearest, other[begin:end]))
@@ -239,8 +251,7 @@ def _penalize_free_part(
     if distance >= reach:
         return 0.0
     here, there = here + low, there + begin
-    push = np.empty(3)
-    direction_between(part, here, other, there, distance, push)
+    normal = direction_between(part, here, other, there, distance)
     piece = min(int(here), PIECES - 1)
     from_place = _in_free_part(float(piece), limit, not outward)
     to_place = _in_free_part(piece + 1.0, limit, not outward)
@@ -250,18 +261,16 @@ def _penalize_free_part(
     # Seen from the shared grip, the other ends move by up to twice the tracking error.
     tracking, tables = model.margins.tracking, model.tables
     moved = error_of_ends(FAR_END if outward else NEAR_END, 2.0 * tracking)
-    error = point_movement(shapes[own], here, push[2], moved, tables)
+    error = point_movement(shapes[own], here, normal[2], moved, tables)
     moved = error_of_ends(NEAR_END if outward else FAR_END, 2.0 * tracking)
-    error += point_movement(shapes[neighbour], there, push[2], moved, tables)
+    error += point_movement(shapes[neighbour], there, normal[2], moved, tables)
     left = distance - free.wanted - error
     if left < 0.0:
         short = -left / (model.margins.cable + 2.0 * tracking)
         moment.missed[0] += short * short
-        push *= -short / (model.margins.cable + 2.0 * tracking)
-        gradient = moment.gradient[0]
-        add_to_ends(gradient, own, outline, shapes[own], here, push)
-        push *= -1.0
-        add_to_ends(gradient, neighbour, other, shapes[neighbour], there, push)
+        push, gradient = short / (model.margins.cable + 2.0 * tracking), moment.gradient[0]
+        add_to_ends(gradient, own, outline, shapes[own], here, times(-push, normal))
+        add_to_ends(gradient, neighbour, other, shapes[neighbour], there, times(push, normal))
     return left
 
 

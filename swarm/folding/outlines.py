@@ -8,6 +8,7 @@ import numpy.typing as npt
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.catenary_kernel import strand_polygon
 from swarm.geometry.distance import bounding_boxes, point_distance
+from swarm.geometry.vectors import Vector, difference
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, Floats4, record
 
@@ -130,28 +131,26 @@ def height_at_span(points: Floats2, share: float) -> float:
 
 
 @inner
-def point_at(points: Floats, place: float, found: Floats) -> None:
-    """Write the point (3,) of an outline at a place."""
+def point_at(points: Floats, place: float) -> Vector:
+    """Return the point of an outline at a place."""
     piece = min(int(place), len(points) - 2)
     share = place - piece
-    for axis in range(3):
-        found[axis] = (1.0 - share) * points[piece, axis] + share * points[piece + 1, axis]
+    return (
+        (1.0 - share) * points[piece, 0] + share * points[piece + 1, 0],
+        (1.0 - share) * points[piece, 1] + share * points[piece + 1, 1],
+        (1.0 - share) * points[piece, 2] + share * points[piece + 1, 2],
+    )
 
 
 @inner
 def direction_between(
-    one: Floats, here: float, other: Floats, there: float, distance: float, found: Floats
-) -> None:
-    """Write the unit vector (3,) from a place on the second outline to a place on the first.
+    one: Floats, here: float, other: Floats, there: float, distance: float
+) -> Vector:
+    """Return the unit vector from a place on the second outline to a place on the first.
 
     It is upward where the outlines touch.
     """
     if distance <= _TOUCHING:
-        found[:2], found[2] = 0.0, 1.0
-        return
-    piece, other_piece = min(int(here), len(one) - 2), min(int(there), len(other) - 2)
-    share, part = here - piece, there - other_piece
-    for axis in range(3):
-        apart = (1.0 - share) * one[piece, axis] + share * one[piece + 1, axis]
-        apart -= (1.0 - part) * other[other_piece, axis] + part * other[other_piece + 1, axis]
-        found[axis] = apart / distance
+        return 0.0, 0.0, 1.0
+    apart = difference(point_at(one, here), point_at(other, there))
+    return apart[0] / distance, apart[1] / distance, apart[2] / distance

@@ -9,7 +9,12 @@ from swarm.folding.chord_clearance import chord_unit, missed_chords
 from swarm.folding.crossing_constraints import CrossingSigns, free_signs
 from swarm.folding.end_response import write_largest_responses
 from swarm.folding.margins import Margins, Penalty, PenaltyModel, Team
-from swarm.folding.neighbour_clearance import MarginCache, empty_margin_cache, penalize_neighbours
+from swarm.folding.neighbour_clearance import (
+    MarginCache,
+    empty_margin_cache,
+    junction_memory,
+    penalize_neighbours,
+)
 from swarm.folding.outlines import Outlines, outline_strands
 from swarm.folding.strand_clearance import penalize_strands
 from swarm.folding.vehicle_clearance import (
@@ -132,7 +137,7 @@ class TeamGeometry:
         team = Team(positions, strands.points, strands.boxes, strands.shapes, response)
         total = Penalty(np.zeros(len(positions)), np.zeros(positions.shape))
         penalize_strands(team, signs.strands, extra.cable, model, total)
-        penalize_neighbours(team, extra.neighbour, model, cache, total)
+        penalize_neighbours(team, extra.neighbour, model, cache, junction_memory(), total)
         penalize_strands_at_vehicles(team, signs.vehicles, extra.vehicle_cable, model, total)
         penalize_vehicles(positions, extra.vehicle, margins, total)
         if preferences:

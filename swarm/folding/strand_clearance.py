@@ -20,6 +20,7 @@ from swarm.folding.outlines import (
 )
 from swarm.geometry.distance import boxes_closer, polyline_distance
 from swarm.geometry.sensitivity import BOTH_ENDS, error_of_ends
+from swarm.geometry.vectors import times
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Signs2
 
@@ -83,29 +84,26 @@ def penalize_pair(
     i, j, margins = pair.first, pair.second, model.margins
     one, other = points[i], points[j]
     unit = margins.cable + 2.0 * margins.tracking
-    push = np.zeros(3)
     beyond = -pair.sign * crossing_height(one, other) if pair.sign else 0.0
     if beyond > 0.0:
         # The wrong strand is over: loops come out of others upward and downward, not through them.
         here, there = plan_crossing(one, other)
-        distance, push[2] = -beyond, pair.sign
+        distance, normal = -beyond, (0.0, 0.0, float(pair.sign))
     else:
         distance, here, there = polyline_distance(one, other, pair.limit)
         if distance >= pair.limit:
             return 0.0
-        direction_between(one, here, other, there, distance, push)
+        normal = direction_between(one, here, other, there, distance)
         here, there = here / PIECES, there / PIECES
     here, there = arc_fraction(shapes[i], here), arc_fraction(shapes[j], there)
     moved = error_of_ends(BOTH_ENDS, margins.tracking)
-    error = point_movement(shapes[i], here, push[2], moved, model.tables)
-    error += point_movement(shapes[j], there, push[2], moved, model.tables)
+    error = point_movement(shapes[i], here, normal[2], moved, model.tables)
+    error += point_movement(shapes[j], there, normal[2], moved, model.tables)
     short = PREFERRED - (distance - margins.cable - pair.extra - error) / unit
     if short <= 0.0:
         return 0.0
-    push *= -short / unit
-    add_to_ends(gradient, i, one, shapes[i], here, push)
-    push *= -1.0
-    add_to_ends(gradient, j, other, shapes[j], there, push)
+    add_to_ends(gradient, i, one, shapes[i], here, times(-short / unit, normal))
+    add_to_ends(gradient, j, other, shapes[j], there, times(short / unit, normal))
     return float(short * short)
 
 
@@ -115,13 +113,13 @@ def spare_margins(one: OutlineRow, other: OutlineRow, model: PenaltyModel, found
 
     They share no vehicle; metres, negative where the margin is missed.
     """
-    push, moved = np.empty(3), error_of_ends(BOTH_ENDS, model.margins.tracking)
+    moved = error_of_ends(BOTH_ENDS, model.margins.tracking)
     for q in range(len(one.points)):
         points, other_points = one.points[q], other.points[q]
         distance, here, there = polyline_distance(points, other_points, np.inf)
-        direction_between(points, here, other_points, there, distance, push)
+        upright = direction_between(points, here, other_points, there, distance)[2]
         here = arc_fraction(one.shapes[q], here / PIECES)
         there = arc_fraction(other.shapes[q], there / PIECES)
-        error = point_movement(one.shapes[q], here, push[2], moved, model.tables)
-        error += point_movement(other.shapes[q], there, push[2], moved, model.tables)
+        error = point_movement(one.shapes[q], here, upright, moved, model.tables)
+        error += point_movement(other.shapes[q], there, upright, moved, model.tables)
         found[q] = distance - model.margins.cable - error

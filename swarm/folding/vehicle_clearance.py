@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.end_response import add_to_ends, arc_fraction, point_movement
+from swarm.folding.end_response import add_to, add_to_ends, arc_fraction, point_movement
 from swarm.folding.margins import Margins, Penalty, PenaltyModel, Team
-from swarm.folding.outlines import PIECES, height_at_span
+from swarm.folding.outlines import PIECES, height_at_span, point_at
 from swarm.folding.strand_clearance import PREFERRED
-from swarm.geometry.distance import boxes_closer
 from swarm.geometry.sensitivity import BOTH_ENDS, error_of_ends
+from swarm.geometry.vectors import Vector, times
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, Signs3
 
@@ -61,16 +61,15 @@ def penalize_strands_at_vehicles(
     ``signs`` (s, n, n − 1) are as in :class:`swarm.folding.crossing_constraints.CrossingSigns`.
     """
     margins, positions = model.margins, team.positions
-    wanted, body = preferred_meeting(margins), np.empty((1, 2, 3))
+    wanted = preferred_meeting(margins)
     for s in range(len(positions)):
         boxes, response, gradient = team.boxes[s], team.response[s], penalty.gradient[s]
         for vehicle in range(positions.shape[1]):
-            write_body(positions[s, vehicle], margins, body)
             for segment in range(len(response)):
                 if segment in (vehicle, vehicle - 1):
                     continue
                 limit = wanted + extra[s] + margins.tracking * response[segment, 0]
-                if boxes_closer(body, 0, boxes, segment, limit):
+                if body_closer(positions[s, vehicle], margins, boxes[segment], limit):
                     sign = signs[s, vehicle, segment]
                     meeting = Meeting(vehicle, segment, sign, extra[s], limit)
                     penalty.missed[s] += penalize_meeting(
@@ -87,13 +86,19 @@ def preferred_meeting(margins: Margins) -> float:
 
 
 @inner
-def write_body(position: Floats, margins: Margins, body: Floats) -> None:
-    """Write the box (1, 2, 3) around a vehicle's rotor disc and grip: middle and half size."""
-    for x in range(3):
-        body[0, 0, x] = position[x]
-    body[0, 0, 2] += 0.5 * margins.grip_offset
-    body[0, 1, 0] = body[0, 1, 1] = margins.radius
-    body[0, 1, 2] = 0.5 * margins.grip_offset
+def body_closer(position: Floats, margins: Margins, box: Floats, limit: float) -> bool:
+    """Return whether a vehicle's rotor disc and grip may be closer to a strand than ``limit``.
+
+    The gap of the box around them and that of the strand, (2, 3), is below it along every axis.
+    """
+    higher = 0.5 * margins.grip_offset
+    for axis in range(3):
+        middle, half = (
+            (position[axis], margins.radius) if axis < 2 else (position[2] + higher, higher)
+        )
+        if abs(middle - box[0, axis]) - half - box[1, axis] >= limit:
+            return False
+    return True
 
 
 @inner
@@ -108,21 +113,18 @@ def penalize_meeting(
     """Return the square of a vehicle's missed margin to a strand; add to the gradient (n, 3)."""
     margins = model.margins
     unit = margins.vehicle_cable + 2.0 * margins.tracking
-    apart, place, lowest = np.empty(3), 0.0, np.inf
+    place, lowest = 0.0, np.inf
     for k in range(PIECES):
         here = k + _nearest(strand[k], strand[k + 1], position, 0.5 * margins.grip_offset)
-        _write_offset(strand, here, position, apart)
-        level = np.sqrt(apart[0] ** 2 + apart[1] ** 2)
-        distance = rotor_cone_distance(level, apart[2], margins)
+        distance = _from_cone(_offset(strand, here, position), margins)
         if distance < lowest:
             lowest, place = distance, here
     if lowest >= meeting.limit:
         return 0.0
-    fraction, push = arc_fraction(shape, place / PIECES), np.zeros(3)
-    _write_offset(strand, place, position, apart)
-    _write_cone_derivative(apart, margins, push)
+    fraction = arc_fraction(shape, place / PIECES)
+    away = _cone_derivative(_offset(strand, place, position), margins)
     moved = error_of_ends(BOTH_ENDS, margins.tracking)
-    error = point_movement(shape, fraction, push[2], moved, model.tables) + margins.tracking
+    error = point_movement(shape, fraction, away[2], moved, model.tables) + margins.tracking
     short = PREFERRED - (lowest - error - margins.vehicle_cable - meeting.extra) / unit
     if short <= 0.0:
         return 0.0
@@ -132,24 +134,18 @@ def penalize_meeting(
     if sign != 0 and beyond > 0.0 and 0.0 < share < 1.0:
         # The vehicle is on the wrong side of the strand: under it (sign 1) or over it (−1).
         short = PREFERRED + (margins.vehicle_cable + beyond) / unit
-        push[:2], push[2] = 0.0, -sign * short / unit
-    else:
-        push *= -short / unit
-    for axis in range(3):
-        gradient[meeting.vehicle, axis] += push[axis]
-    push *= -1.0
+        away = 0.0, 0.0, float(sign)
+    push = times(short / unit, away)
+    add_to(gradient, meeting.vehicle, push, -1.0)
     add_to_ends(gradient, meeting.segment, strand, shape, fraction, push)
     return short * short
 
 
 @inner
-def _write_offset(strand: Floats, place: float, position: Floats, found: Floats) -> None:
-    """Write the vector (3,) from a vehicle's position to a place on an outline."""
-    piece = min(int(place), len(strand) - 2)
-    share = place - piece
-    for axis in range(3):
-        on = strand[piece, axis] + share * (strand[piece + 1, axis] - strand[piece, axis])
-        found[axis] = on - position[axis]
+def _offset(strand: Floats, place: float, position: Floats) -> Vector:
+    """Return the vector from a vehicle's position to a place on an outline."""
+    on = point_at(strand, place)
+    return on[0] - position[0], on[1] - position[1], on[2] - position[2]
 
 
 @inner
@@ -170,14 +166,21 @@ def _nearest_span(strand: Floats, position: Floats) -> float:
 
 
 @inner
-def _write_cone_derivative(apart: Floats, margins: Margins, found: Floats) -> None:
-    """Write the derivative (3,) of the distance from a cone by the position of the cone."""
-    distance = rotor_cone_distance(np.sqrt(apart[0] ** 2 + apart[1] ** 2), apart[2], margins)
-    for axis in range(3):
-        apart[axis] -= _STEP
-        moved = rotor_cone_distance(np.sqrt(apart[0] ** 2 + apart[1] ** 2), apart[2], margins)
-        apart[axis] += _STEP
-        found[axis] = (moved - distance) / _STEP
+def _cone_derivative(apart: Vector, margins: Margins) -> Vector:
+    """Return the derivative of the distance from a cone by the position of the cone."""
+    (x, y, z), distance = apart, _from_cone(apart, margins)
+    return (
+        (_from_cone((x - _STEP, y, z), margins) - distance) / _STEP,
+        (_from_cone((x, y - _STEP, z), margins) - distance) / _STEP,
+        (_from_cone((x, y, z - _STEP), margins) - distance) / _STEP,
+    )
+
+
+@inner
+def _from_cone(apart: Vector, margins: Margins) -> float:
+    """Return the distance of a point from a cone; ``apart`` leads to it from the cone's tip."""
+    level = np.sqrt(apart[0] ** 2 + apart[1] ** 2)
+    return rotor_cone_distance(level, apart[2], margins)
 
 
 @inner
@@ -297,9 +300,9 @@ def rotor_disc_cost(position: Floats, strand: Floats, wider: float, margins: Mar
     if max(strand[0, 2], strand[-1, 2]) - position[2] <= lowest:
         return 0.0
     radius = margins.radius + wider + DISC_ERRORS * margins.tracking
-    inside, apart = 0.0, np.empty(3)
+    inside = 0.0
     for k in range(2 * PIECES + 1):
-        _write_offset(strand, 0.5 * k, position, apart)
+        apart = _offset(strand, 0.5 * k, position)
         if apart[2] > lowest:
             aside = radius - np.sqrt(apart[0] ** 2 + apart[1] ** 2)
             inside = max(inside, min(aside, apart[2] - lowest))

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary_kernel import SMALL_TURN, small_angle
-from swarm.jit import compiled, inner
+from swarm.jit import allocates, compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3
 
 Floats = npt.NDArray[np.float64]
@@ -42,6 +42,7 @@ class Vectors(NamedTuple):
 
 
 @compiled
+@allocates
 def write_points(fractions: Floats1, arcs: Arcs, vectors: Vectors, points: Floats3) -> None:
     """Write points (q, k, 3) of strands (q,) at fractions (k,) of their arcs."""
     strands, row = _strands_together(fractions), len(fractions) + 1
@@ -59,6 +60,7 @@ def write_points(fractions: Floats1, arcs: Arcs, vectors: Vectors, points: Float
 
 
 @compiled
+@allocates
 def write_strays(
     fractions: Floats1, arcs: Arcs, vectors: Vectors, others: Floats3, strays: Floats3
 ) -> None:
@@ -81,6 +83,7 @@ def write_strays(
 
 
 @compiled
+@allocates
 def write_distances(
     fractions: Floats1, arcs: Arcs, vectors: Vectors, others: Floats3, distances: Floats2
 ) -> None:
@@ -112,6 +115,7 @@ def _vectors_of(
 
 
 @inner
+@allocates
 def _write_offsets(
     fractions: Floats, arcs: Arcs, chosen: tuple[int, int], angles: Floats, heights: Floats
 ) -> None:
@@ -150,6 +154,7 @@ def _write_offsets(
 
 
 @inner
+@allocates
 def _write_arsinh(slopes: Floats, roots: Floats, found: Floats) -> None:
     """Write arsinh of slopes (k,), with √(1 + slope²) for each.
 

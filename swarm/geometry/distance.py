@@ -69,8 +69,9 @@ def polyline_polyline(first: ArrayLike, second: ArrayLike) -> Closest:
         second = np.broadcast_to(second, shape + second.shape[-2:])
     a = first.reshape(-1, *first.shape[-2:])
     b = second.reshape(-1, *second.shape[-2:])
+    spheres = np.empty((2, max(runs_of(each.shape[1]) for each in (a, b)), 4))
     found = np.empty((3, len(a)))
-    _write_closest(contiguous(a), contiguous(b), found)
+    _write_closest(contiguous(a), contiguous(b), spheres, found)
     distance, at_first, at_second = found.reshape(3, *shape)
     return Closest(distance, at_first, at_second)
 
@@ -89,16 +90,23 @@ def strand_strand(strands: ArrayLike, pairs: ArrayLike) -> Closest:
 
 
 @compiled
-def _write_closest(first: Floats3, second: Floats3, found: Floats2) -> None:
-    """Write distances and places (3, q) of polylines (q, m, 3) and (q, k, 3)."""
+def _write_closest(first: Floats3, second: Floats3, spheres: Floats3, found: Floats2) -> None:
+    """Write distances and places (3, q) of polylines (q, m, 3) and (q, k, 3).
+
+    ``spheres`` (2, runs, 4) is memory for both of a pair.
+    """
     straight = first.shape[1] == second.shape[1] == 2
+    short = min(first.shape[1], second.shape[1]) <= 2 * _RUN
     for q in range(len(first)):
         if straight:
             square, s, t = segment_distance(first[q], 0, second[q], 0)
             found[0, q] = np.sqrt(square)
             found[1, q], found[2, q] = (s, t) if square >= 0.0 else (0.0, 0.0)
-        else:
+        elif short:
             found[0, q], found[1, q], found[2, q] = polyline_distance(first[q], second[q], np.inf)
+        else:
+            distance, s, t = _distance_by_runs(first[q], second[q], spheres)
+            found[0, q], found[1, q], found[2, q] = distance, s, t
 
 
 @compiled
@@ -111,35 +119,26 @@ def _write_chosen(strands: Floats4, pairs: Ints2, found: Floats3) -> None:
 
 
 @inner
-def polyline_distance(first: Floats, second: Floats, limit: float) -> tuple[float, float, float]:
-    """Return the distance of polylines (m, 3) and (k, 3), and the closest places on each.
+def _distance_by_runs(first: Floats, second: Floats, spheres: Floats) -> tuple[float, float, float]:
+    """As :func:`polyline_distance`, for polylines of many pieces: eight times as fast for 64 each.
 
-    The distance is ``limit`` where they are not closer. Pieces are skipped whose enclosing spheres
-    are farther apart than ``limit`` or than the smallest distance so far, and of long polylines
-    whole runs of pieces: eight times as fast for 64 pieces each.
+    Runs of pieces are skipped whose enclosing spheres are farther apart than what is found already;
+    the runs that are nearest come first.
     """
-    sizes = np.empty(len(second) - 1)
-    for j in range(len(sizes)):
-        sizes[j] = _piece_length(second, j)
-    if min(len(first), len(second)) <= 2 * _RUN:
-        return polyline_distance_sized(first, second, sizes, limit)
-    spheres, others = _spheres(first), _spheres(second)
+    runs, others = _write_spheres(first, spheres[0]), _write_spheres(second, spheres[1])
     nearest, first_run, first_other = np.inf, 0, 0
-    for a in range(len(spheres)):
-        for b in range(len(others)):
-            gap = _gap(spheres, a, others, b)
+    for a in range(runs):
+        for b in range(others):
+            gap = _gap(spheres, a, b)
             if gap < nearest:
                 nearest, first_run, first_other = gap, a, b
-    best, here, there = limit, 0.0, 0.0
-    for number in range(len(spheres) * len(others) + 1):
-        # the runs that are nearest come first, so that others can be skipped
-        a, b = (first_run, first_other) if number == 0 else divmod(number - 1, len(others))
-        if _gap(spheres, a, others, b) > best:
+    best, here, there = np.inf, 0.0, 0.0
+    for number in range(runs * others + 1):
+        a, b = (first_run, first_other) if number == 0 else divmod(number - 1, others)
+        if _gap(spheres, a, b) > best:
             continue
         i, j = a * _RUN, b * _RUN
-        distance, s, t = polyline_distance_sized(
-            first[i : i + _RUN + 1], second[j : j + _RUN + 1], sizes[j : j + _RUN], best
-        )
+        distance, s, t = polyline_distance(first[i : i + _RUN + 1], second[j : j + _RUN + 1], best)
         if np.isnan(distance):
             return np.nan, 0.0, 0.0
         if distance < best:
@@ -148,13 +147,12 @@ def polyline_distance(first: Floats, second: Floats, limit: float) -> tuple[floa
 
 
 @inner
-def _spheres(points: Floats) -> Floats:
-    """Return middles and radii (q, 4) of spheres around runs of pieces of a polyline.
+def _write_spheres(points: Floats, found: Floats) -> int:
+    """Write middles and radii (q, 4) of spheres around runs of pieces of a polyline; return q.
 
     Infinite radii where a coordinate is NaN.
     """
-    count = (len(points) - 2) // _RUN + 1
-    found = np.empty((count, 4))
+    count = runs_of(len(points))
     for q in range(count):
         begin, end = q * _RUN, min((q + 1) * _RUN, len(points) - 1)
         largest = total = 0.0
@@ -166,14 +164,44 @@ def _spheres(points: Floats) -> Floats:
             square = x * x + y * y + z * z
             largest, total = max(largest, square), total + square
         found[q, 3] = np.inf if np.isnan(total) else np.sqrt(largest)
-    return found
+    return count
+
+
+@compiled
+def runs_of(points: int) -> int:
+    """Return the number of runs of pieces of a polyline of so many points."""
+    return (points - 2) // _RUN + 1
 
 
 @inner
-def _gap(one: Floats, a: int, other: Floats, b: int) -> float:
-    """Return the distance of two spheres (q, 4), with 1e-12 of it for rounding."""
-    x, y, z = one[a, 0] - other[b, 0], one[a, 1] - other[b, 1], one[a, 2] - other[b, 2]
-    return float(np.sqrt(x * x + y * y + z * z) * (1.0 - 1e-12) - one[a, 3] - other[b, 3])
+def _gap(spheres: Floats, a: int, b: int) -> float:
+    """Return the distance of a first and a second sphere, with 1e-12 of it for rounding."""
+    x, y = spheres[0, a, 0] - spheres[1, b, 0], spheres[0, a, 1] - spheres[1, b, 1]
+    z = spheres[0, a, 2] - spheres[1, b, 2]
+    middles = np.sqrt(x * x + y * y + z * z)
+    return float(middles * (1.0 - 1e-12) - spheres[0, a, 3] - spheres[1, b, 3])
+
+
+@inner
+def polyline_distance(first: Floats, second: Floats, limit: float) -> tuple[float, float, float]:
+    """Return the distance of polylines (m, 3) and (k, 3), and the closest places on each.
+
+    The distance is ``limit`` where they are not closer. Pieces are skipped whose enclosing spheres
+    are farther apart than ``limit`` or than the smallest distance so far.
+    """
+    best, here, there = limit, 0.0, 0.0
+    for i in range(len(first) - 1):
+        own = _piece_length(first, i)
+        for j in range(len(second) - 1):
+            reach = 2.0 * best + own + _piece_length(second, j)
+            if _square_between(first, i, second, j) * (1.0 - 1e-12) > reach * reach:
+                continue
+            square, s, t = segment_distance(first, i, second, j)
+            if np.isnan(square):
+                return np.nan, 0.0, 0.0
+            if square < best * best:
+                best, here, there = float(np.sqrt(square)), i + s, j + t
+    return best, here, there
 
 
 @inner
@@ -184,16 +212,9 @@ def polyline_distance_sized(
     best, here, there = limit, 0.0, 0.0
     for i in range(len(first) - 1):
         own = _piece_length(first, i)
-        x, y = first[i, 0] + first[i + 1, 0], first[i, 1] + first[i + 1, 1]
-        z = first[i, 2] + first[i + 1, 2]
         for j in range(len(second) - 1):
-            # Spheres around the pieces, with 1e-12 for rounding. Both sides of the comparison are
-            # twice the distance: of the middles, and of the sum of radii and best distance.
             reach = 2.0 * best + own + sizes[j]
-            square = (x - second[j, 0] - second[j + 1, 0]) ** 2
-            square += (y - second[j, 1] - second[j + 1, 1]) ** 2
-            square += (z - second[j, 2] - second[j + 1, 2]) ** 2
-            if square * (1.0 - 1e-12) > reach * reach:
+            if _square_between(first, i, second, j) * (1.0 - 1e-12) > reach * reach:
                 continue
             square, s, t = segment_distance(first, i, second, j)
             if np.isnan(square):
@@ -201,6 +222,19 @@ def polyline_distance_sized(
             if square < best * best:
                 best, here, there = float(np.sqrt(square)), i + s, j + t
     return best, here, there
+
+
+@inner
+def _square_between(first: Floats, i: int, second: Floats, j: int) -> float:
+    """Return the square of twice the distance of the middles of two pieces.
+
+    Both pieces are in spheres about these: compared with twice the sum of radii and best distance,
+    with 1e-12 for rounding.
+    """
+    x = first[i, 0] + first[i + 1, 0] - second[j, 0] - second[j + 1, 0]
+    y = first[i, 1] + first[i + 1, 1] - second[j, 1] - second[j + 1, 1]
+    z = first[i, 2] + first[i + 1, 2] - second[j, 2] - second[j + 1, 2]
+    return float(x * x + y * y + z * z)
 
 
 @inner

@@ -11,13 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary import STANDARD_GRAVITY
-from swarm.jit import compiled, inner
+from swarm.jit import allocates, compiled, inner
 from swarm.signatures import Floats1, Floats4, Floats5, Floats6, Ints1
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 Given = tuple[Floats, Floats, Ints]
 Chosen = tuple[Ints, Ints]
+Memory = tuple[Floats, Floats, Floats]
 
 _ITERATIONS = 8
 """Newton steps for the link lengths; one is enough at the accelerations of a fold."""
@@ -63,6 +64,7 @@ class Steps(NamedTuple):
 
 
 @compiled
+@allocates
 def swing_each(
     given: tuple[Floats5, Floats4, Ints1], lengths: Floats1, steps: Steps, drag: Drag,
     found: Floats6,
@@ -76,24 +78,30 @@ def swing_each(
     """
     count, total = len(found), len(found) * len(lengths)
     motion, strand = np.empty(TOGETHER, np.int64), np.empty(TOGETHER, np.int64)
+    rows, most = np.zeros((found.shape[4], _FIELDS, TOGETHER)), np.empty(TOGETHER)
+    memory = rows, most, np.empty((2, 3, TOGETHER))
     for first in range(0, total, TOGETHER):
         # next to each other: motions of the same strand, which need about as many iterations
         for w in range(TOGETHER):
             which = min(first + w, total - 1)
             strand[w], motion[w] = which // count, which % count
-        _swing_together(given, lengths, steps, drag, (motion, strand), found)
+        rows[:] = 0.0
+        _swing_together(given, lengths, steps, drag, (motion, strand), memory, found)
 
 
 @inner
 def _swing_together(
-    given: Given, lengths: Floats, steps: Steps, drag: Drag, chosen: Chosen,
+    given: Given, lengths: Floats, steps: Steps, drag: Drag, chosen: Chosen, memory: Memory,
     found: Floats,
 ) -> None:  # fmt: skip
-    """Write the states of the strands ``chosen`` by the numbers of their motions and their own."""
+    """Write the states of the strands ``chosen`` by the numbers of their motions and their own.
+
+    ``memory`` are rows of zeros, errors, and the places (2, 3, …) of both ends.
+    """
     begun, ends, segments = given
     motion, strand = chosen
+    rows, most, places = memory
     last = found.shape[4] - 1
-    rows, most = np.zeros((last + 1, _FIELDS, TOGETHER)), np.empty(TOGETHER)
     for w in range(TOGETHER):
         square = lengths[strand[w]] ** 2
         most[w] = _TOLERANCE * square
@@ -102,7 +110,6 @@ def _swing_together(
             for x in range(3):
                 rows[i, _NOW + x, w] = begun[motion[w], 0, strand[w], i, x]
                 rows[i, _AFTER + x, w] = begun[motion[w], 1, strand[w], i, x]
-    places = np.empty((2, 3, TOGETHER))
     for k in range(1, ends.shape[1]):
         for w in range(TOGETHER):
             place = ends[motion[w], k]

@@ -68,14 +68,15 @@ def error_of_ends(ends: int, size: float) -> EndMovement:
 
 
 class Sensitivity(NamedTuple):
-    """Tables of norms and of their integrals over the chord ratio.
+    """Table of norms and of their integrals over the chord ratio.
 
-    ``norm`` and ``integral`` have the axes (elevation class, moving ends, horizontal or vertical,
-    ratio bin, piece); a piece is the number of a node in the binary heap of dyadic pieces.
+    ``bounds`` has the axes (elevation class, moving ends, piece, ratio bin, 4); a piece is the
+    number of a node in the binary heap of dyadic pieces. The four are norm and integral of the
+    horizontal movement, and those of the vertical one: what one bound needs is close together in
+    memory, because the table is larger than fast caches.
     """
 
-    norm: Floats5
-    integral: Floats5
+    bounds: Floats5
 
     def largest(
         self,
@@ -183,11 +184,8 @@ def movement_bound(
     tables: Sensitivity, steep: int, ends: int, piece: int, ratios: RatioRange
 ) -> tuple[float, float]:
     """Return :meth:`Sensitivity.largest` of one strand; ``steep`` is its elevation class."""
-    norm, integral, piece = tables.norm, tables.integral, _tabulated(piece)
-    return (
-        _mean(norm[steep, ends, 0], integral[steep, ends, 0], piece, ratios),
-        _mean(norm[steep, ends, 1], integral[steep, ends, 1], piece, ratios),
-    )
+    bounds = tables.bounds[steep, ends, _tabulated(piece)]
+    return _mean(bounds, 0, ratios), _mean(bounds, 2, ratios)
 
 
 @inner
@@ -195,26 +193,38 @@ def chord_response(
     rise: float, span: float, length: float, moved: EndMovement, piece: int, tables: Sensitivity
 ) -> tuple[float, float]:
     """Return :meth:`Sensitivity.largest` of a strand with a chord of ``rise`` and ``span``."""
-    ratio = np.sqrt(span * span + rise * rise) / length
-    steep = elevation_class(max_elevation_sine(rise, span, moved.relative))
-    ratios = ratio_range(ratio, moved.relative / length)
+    steep, ratios = chord_range(rise, span, length, moved.relative)
     return movement_bound(tables, steep, moved.ends, piece, ratios)
 
 
 @inner
-def _mean(norms: Floats, integrals: Floats, piece: int, ratios: RatioRange) -> float:
-    """Return the mean norm of a piece over a range of ratios."""
-    at_high = float(norms[ratios.high_bin, piece])
-    if ratios.low_bin == ratios.high_bin:
+def chord_range(rise: float, span: float, length: float, relative: float) -> tuple[int, RatioRange]:
+    """Return the elevation class and the ratios of a chord of ``rise`` and ``span``.
+
+    Its ends move by up to ``relative`` metres, relative to each other.
+    """
+    ratio = np.sqrt(span * span + rise * rise) / length
+    steep = elevation_class(max_elevation_sine(rise, span, relative))
+    return steep, ratio_range(ratio, relative / length)
+
+
+@inner
+def _mean(bounds: Floats, norm: int, ratios: RatioRange) -> float:
+    """Return the mean norm over a range of ratios; ``bounds`` (bins, 4) are those of a piece.
+
+    ``norm`` is the column of the norm, before that of its integral.
+    """
+    low, high = ratios.low_bin, ratios.high_bin
+    at_high = float(bounds[high, norm])
+    if low == high:
         return at_high
-    to_low = integrals[ratios.low_bin, piece]
-    to_low += norms[ratios.low_bin, piece] * (ratios.low - _RATIOS[ratios.low_bin])
-    to_high = integrals[ratios.high_bin, piece] + at_high * (ratios.high - _RATIOS[ratios.high_bin])
+    to_low = bounds[low, norm + 1] + bounds[low, norm] * (ratios.low - _RATIOS[low])
+    to_high = bounds[high, norm + 1] + at_high * (ratios.high - _RATIOS[high])
     mean = float((to_high - to_low) / max(ratios.high - ratios.low, 1e-12))
     return min(mean, at_high)
 
 
-@inner
+@compiled
 def _bin(ratio: float) -> int:
     """Return the bin of a ratio, from 0 on."""
     found: int = _FIRST_BINS[int(ratio * len(_FIRST_BINS))]
@@ -245,7 +255,8 @@ def sensitivity_tables() -> Sensitivity:
     width = np.diff(np.concatenate([[0.0], upper]))
     integral = np.zeros_like(norm)
     integral[..., 1:, :] = np.cumsum(norm * width[:, None], axis=-2)[..., :-1, :]
-    return Sensitivity(norm, integral)
+    columns = [table[:, :, direction] for direction in (0, 1) for table in (norm, integral)]
+    return Sensitivity(np.ascontiguousarray(np.stack(columns, axis=-1).swapaxes(2, 3)))
 
 
 def _over_pieces(by_fraction: Floats) -> Floats:

@@ -26,6 +26,12 @@ def dot(one: Vector, other: Vector) -> float:
 
 
 @inner
+def times(share: float, vector: Vector) -> Vector:
+    """Return a multiple of a vector."""
+    return share * vector[0], share * vector[1], share * vector[2]
+
+
+@inner
 def moved(start: Vector, share: float, step: Vector) -> Vector:
     """Return the point that is a share of a step from a start."""
     return start[0] + share * step[0], start[1] + share * step[1], start[2] + share * step[2]

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from pymavlink.dialects.v20 import common
 
-from swarm.jit import compiled
+from swarm.jit import allocates, compiled
 from swarm.mavlink.packets import GROUND_COMPONENT, GROUND_SYSTEM
 from swarm.mavlink.telemetry_table import crc_accumulate
 from swarm.signatures import Bytes2, Floats1, Floats3, Ints1
@@ -95,6 +95,7 @@ class SetpointPacker:
 
 
 @compiled
+@allocates
 def _write(packets: Bytes2, sequences: Ints1, time: int, states: Floats3, yaw: Floats1) -> None:
     single = np.empty(10, np.float32)
     raw = single.view(np.uint8)

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from swarm.jit import compiled, inner
+from swarm.jit import allocates, compiled, inner
 from swarm.signatures import Bytes3, Floats2, Ints1, Ints2, Shorts2
 
 Floats = npt.NDArray[np.float64]
@@ -145,6 +145,7 @@ def count_packet(table: TableArrays, k: int, component: int, sequence: int, now:
 
 
 @compiled
+@allocates
 def read_datagrams(
     data: bytes, origins: Ints2, extras: Ints1, now: float, table: TableArrays, rows: Ints2
 ) -> int:
@@ -215,6 +216,7 @@ def _validate(data: bytes, start: int, end: int, system: int, extras: Indices) -
 
 
 @inner
+@allocates
 def _read_packet(
     data: bytes, at: int, close: int, single: npt.NDArray[np.float32], now: float, row: Floats
 ) -> bool:

@@ -9,7 +9,7 @@ from numba import types
 
 from swarm.folding.margins import PenaltyModel
 from swarm.folding.penalty import KEPT, TeamGeometry, missed_margins
-from swarm.jit import compiled, inner
+from swarm.jit import allocates, compiled, inner
 from swarm.signatures import Floats1, Floats2, Ints1, Ints2
 from swarm.untangling.moved_vehicle import Group, TeamState, missed_by, team_state, update
 from swarm.untangling.tangle import HEADINGS, crossed, not_ahead, weighted
@@ -136,6 +136,7 @@ def _within_reach(team: TeamGeometry, positions: Floats, group: Group, spacing: 
 
 
 @compiled
+@allocates
 def _flood(
     team: TeamState,
     group: Group,

@@ -13,16 +13,22 @@ import numpy.typing as npt
 from swarm.folding.chord_clearance import missed_chord
 from swarm.folding.end_response import write_largest_response
 from swarm.folding.margins import Penalty, PenaltyModel
-from swarm.folding.neighbour_clearance import Chain, Junction, penalize_junction
+from swarm.folding.neighbour_clearance import (
+    Chain,
+    Junction,
+    JunctionMemory,
+    junction_memory,
+    penalize_junction,
+)
 from swarm.folding.outlines import PIECES, write_outline
 from swarm.folding.strand_clearance import StrandPair, penalize_pair, preferred_distance
 from swarm.folding.vehicle_clearance import (
     Meeting,
+    body_closer,
     missed_by_pair,
     penalize_meeting,
     preferred_meeting,
     rotor_disc_cost,
-    write_body,
 )
 from swarm.geometry.distance import bounding_boxes, boxes_closer, point_distance
 from swarm.jit import compiled, inner
@@ -43,7 +49,8 @@ class TeamState(NamedTuple):
 
     ``lengths`` (n − 1,) are those of the segments, ``ratio`` (n − 1,) their chords over them.
     ``points``, ``boxes``, ``shapes`` and ``response`` are as in
-    :class:`swarm.folding.margins.Team`, without its first dimension.
+    :class:`swarm.folding.margins.Team`, without its first dimension. ``unused`` takes derivatives,
+    which count for nothing here, and with ``memory`` is working memory.
     """
 
     positions: Floats2
@@ -53,6 +60,8 @@ class TeamState(NamedTuple):
     boxes: Floats3
     shapes: Floats2
     response: Floats2
+    unused: Penalty
+    memory: JunctionMemory
 
 
 def team_state(positions: Floats, lengths: Floats) -> TeamState:
@@ -66,6 +75,8 @@ def team_state(positions: Floats, lengths: Floats) -> TeamState:
         np.zeros((count, 2, 3)),
         np.zeros((count, 5)),
         np.zeros((count, 2)),
+        Penalty(np.zeros(1), np.zeros((1, *positions.shape))),
+        junction_memory(),
     )
 
 
@@ -135,7 +146,6 @@ def _missed_between_strands(team: TeamState, group: Group, model: PenaltyModel) 
     """Return what moved strands miss to those that share no vehicle with them."""
     missed, margins = 0.0, model.margins
     wanted = preferred_distance(margins)
-    unused = np.zeros_like(team.positions)
     for i in range(len(team.lengths)):
         for j in range(i + 2, len(team.lengths)):
             if not (_is_moved(i, group) or _is_moved(j, group)):
@@ -145,18 +155,18 @@ def _missed_between_strands(team: TeamState, group: Group, model: PenaltyModel) 
             limit = wanted + margins.tracking * (team.response[i, 0] + team.response[j, 0])
             if boxes_closer(team.boxes, i, team.boxes, j, limit):
                 pair = StrandPair(i, j, 0, 0.0, limit)
-                missed += penalize_pair(team.points, team.shapes, pair, model, unused)
+                missed += penalize_pair(
+                    team.points, team.shapes, pair, model, team.unused.gradient[0]
+                )
     return missed
 
 
 @inner
 def _missed_at_vehicles(team: TeamState, group: Group, model: PenaltyModel) -> float:
     """Return what moved vehicles miss to the strands of others, and others to moved strands."""
-    missed, margins, body = 0.0, model.margins, np.empty((1, 2, 3))
+    missed, margins = 0.0, model.margins
     wanted = preferred_meeting(margins)
-    unused = np.zeros_like(team.positions)
     for i in range(len(team.positions)):
-        write_body(team.positions[i], margins, body)
         moved = group.first <= i < group.last
         for j in range(len(team.lengths)):
             if j in (i, i - 1) or not (moved or _is_moved(j, group)):
@@ -164,10 +174,11 @@ def _missed_at_vehicles(team: TeamState, group: Group, model: PenaltyModel) -> f
             if moved and _is_carried(j, group):
                 continue
             limit = wanted + margins.tracking * team.response[j, 0]
-            if boxes_closer(body, 0, team.boxes, j, limit):
+            if body_closer(team.positions[i], margins, team.boxes[j], limit):
                 missed += penalize_meeting(
                     team.positions[i], team.points[j], team.shapes[j],
-                    Meeting(i, j, 0, 0.0, limit), model, unused,
+                    Meeting(i, j, 0, 0.0, limit), model,
+                    team.unused.gradient[0],
                 )  # fmt: skip
     return missed
 
@@ -176,10 +187,8 @@ def _missed_at_vehicles(team: TeamState, group: Group, model: PenaltyModel) -> f
 def _missed_at_junctions(team: TeamState, group: Group, model: PenaltyModel) -> float:
     """Return what moved strands miss to the next one."""
     chain = Chain(team.points, team.shapes, team.response)
-    moment = Penalty(np.zeros(1), np.zeros((1, *team.positions.shape)))
-    part = np.empty((team.points.shape[1], 3))
-    sizes = np.empty((2, team.points.shape[1] - 1))
+    team.unused.missed[0] = 0.0
     for i in range(max(group.first - 2, 0), min(group.last, len(team.lengths) - 1)):
         if not (_is_carried(i, group) and _is_carried(i + 1, group)):
-            penalize_junction(chain, Junction(i, 0.0, sizes, part), model, moment)
-    return float(moment.missed[0])
+            penalize_junction(chain, Junction(i, 0.0, team.memory), model, team.unused)
+    return float(team.unused.missed[0])

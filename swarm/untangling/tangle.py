@@ -56,4 +56,7 @@ def not_ahead(team: TeamState, first: int, last: int, missing: Floats1) -> None:
 @inner
 def weighted(crossings: float, missing: Floats) -> float:
     """Return how tangled a team is, from its Gauss integrals and its parts not ahead."""
-    return crossings + _STRAIGHT * float(missing.min())
+    least = np.inf
+    for part in missing:
+        least = min(least, part)
+    return crossings + _STRAIGHT * least

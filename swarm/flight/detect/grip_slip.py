@@ -23,7 +23,7 @@ from swarm.flight.failures import Failure, FailureKind, Finding
 from swarm.flight.load import TAUT, end_forces
 from swarm.flight.observation import Expected, Observation
 from swarm.geometry.catenary import STANDARD_GRAVITY
-from swarm.jit import compiled, inner
+from swarm.jit import allocates, compiled, inner
 from swarm.planning import Plan
 from swarm.signatures import Columns2, Floats1, Floats2, Floats3
 
@@ -226,6 +226,7 @@ class _Held(NamedTuple):
 
 
 @compiled
+@allocates
 def _could_fit(residual: Floats2, pull: Floats2) -> bool:
     """Return whether any vehicle's pattern could explain enough of the residual (n, 2).
 
@@ -282,6 +283,7 @@ def match(residual: Floats, centred: Floats, patterns: Floats) -> tuple[int | No
 
 
 @compiled
+@allocates
 def _best_fit(centred: Floats2, patterns: Floats3) -> tuple[int, int]:
     """Return the vehicle whose pattern fits the centred residual (n, 2) best, and the score.
 
@@ -324,6 +326,7 @@ def _sum_error(residual: Floats, count: int) -> float:
 
 
 @compiled
+@allocates
 def _pulls(
     above: Floats2, every: int, lengths: Floats1, mass_per_length: float
 ) -> tuple[Floats, Floats, Floats]:
@@ -346,6 +349,7 @@ def _pulls(
 
 
 @compiled
+@allocates
 def thrust(attitude: Columns2, pull: Floats2, mass: float) -> Floats:
     """Return the horizontal forces (n, 2), east and north, of the thrusts that carry vehicle and
     cable, plus the cable's pulls (n, 3); newtons.
