@@ -12,10 +12,17 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.branch_and_bound import BoxArrays, Boxes, Enclosure, EnclosureArrays
+from swarm.certification.branch_and_bound import (
+    BoxArrays,
+    Boxes,
+    Enclosure,
+    EnclosureArrays,
+    same_instant,
+)
 from swarm.certification.motion_bounds import (
     BoundedMotion,
     Grip,
+    Instant,
     TeamStates,
     ends_at,
     grip_at,
@@ -25,6 +32,7 @@ from swarm.certification.strand_pieces import (
     CableTables,
     Displacement,
     HeldCable,
+    HeldStrand,
     Part,
     Piece,
     held_piece,
@@ -133,23 +141,30 @@ def _write_margins(
     cable: CableTables, kept: _Kept, body: Body, boxes: BoxArrays, found: EnclosureArrays
 ) -> None:
     """Write the margins of vehicles and pieces of strands in boxes."""
+    known = -1
     for b in range(len(boxes.group)):
         middle, half = boxes.middle[b], boxes.half[b]
-        vehicle, segment = kept.pairs[boxes.group[b]]
-        instant = instant_at(cable.motion, middle[0], half[0])
-        grip = grip_at(cable.motion, instant, vehicle)
-        ends = BOTH_ENDS
-        if segment == vehicle:
-            ends = FAR_END
-        elif segment == vehicle - 1:
-            ends = NEAR_END
-        tracking = cable.tracking if ends == BOTH_ENDS else 2.0 * cable.tracking
-        grips = ends_at(cable.motion, instant, segment)
-        displacement = Displacement(grip.velocity, ends, tracking, grip.deviation)
-        held = held_strand(cable, segment, grips, instant, displacement)
+        if known < 0 or not same_instant(boxes, known, b):
+            known, instant = b, instant_at(cable.motion, middle[0], half[0])
+            grip, held = _held(cable, kept.pairs[boxes.group[b]], instant)
         piece = held_piece(cable, held, instant, Part(middle[1], half[1], 0.0, 1.0))
         limits = 0.5 * kept.diameter, kept.required[boxes.group[b]], boxes.enough
         _write_margin(cable, piece, (grip, body), limits, b, found)
+
+
+@inner
+def _held(cable: CableTables, pair: Ints, instant: Instant) -> tuple[Grip, HeldStrand]:
+    """Return a vehicle's grip point and a strand, by their numbers (2,), at an instant."""
+    vehicle, segment = pair
+    grip, ends = grip_at(cable.motion, instant, vehicle), BOTH_ENDS
+    if segment == vehicle:
+        ends = FAR_END
+    elif segment == vehicle - 1:
+        ends = NEAR_END
+    tracking = cable.tracking if ends == BOTH_ENDS else 2.0 * cable.tracking
+    displacement = Displacement(grip.velocity, ends, tracking, grip.deviation)
+    grips = ends_at(cable.motion, instant, segment)
+    return grip, held_strand(cable, segment, grips, instant, displacement)
 
 
 @inner

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from swarm.jit import inner
 from swarm.signatures import Floats1, Floats2, Ints1, contiguous
 
 Floats = npt.NDArray[np.float64]
@@ -71,6 +72,16 @@ class BoxArrays(NamedTuple):
     middle: Floats2
     half: Floats2
     enough: float
+
+
+@inner
+def same_instant(boxes: BoxArrays, a: int, b: int) -> bool:
+    """Return whether two boxes are of the same group in the same interval of time."""
+    return bool(
+        boxes.group[a] == boxes.group[b]
+        and boxes.middle[a, 0] == boxes.middle[b, 0]
+        and boxes.half[a, 0] == boxes.half[b, 0]
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.branch_and_bound import BoxArrays, Boxes, Enclosure, EnclosureArrays
+from swarm.certification.branch_and_bound import (
+    BoxArrays,
+    Boxes,
+    Enclosure,
+    EnclosureArrays,
+    same_instant,
+)
 from swarm.certification.motion_bounds import Grip, Instant, ends_at, grip_at, instant_at
 from swarm.certification.strand_pieces import (
     CableTables,
@@ -86,22 +92,12 @@ def _write_margins(
         (begin, end), (other_begin, other_end) = counted(part), counted(other_part)
         if begin >= end or other_begin >= other_end:
             continue
-        if known < 0 or not _same_instant(boxes, known, b):
+        if known < 0 or not same_instant(boxes, known, b):
             known, instant = b, instant_at(cable.motion, middle[0], half[0])
             held, other_held = _held_pair(cable, pairs.segments[boxes.group[b]], instant)
         one = held_piece(cable, held, instant, part)
         other = held_piece(cable, other_held, instant, other_part)
         _write_margin(cable, (one, other), (required, boxes.enough), chords, b, found)
-
-
-@inner
-def _same_instant(boxes: BoxArrays, a: int, b: int) -> bool:
-    """Return whether two boxes are of the same pair in the same interval of time."""
-    return bool(
-        boxes.group[a] == boxes.group[b]
-        and boxes.middle[a, 0] == boxes.middle[b, 0]
-        and boxes.half[a, 0] == boxes.half[b, 0]
-    )
 
 
 @inner

@@ -18,11 +18,11 @@ from swarm.certification.cable_spans import cable_spans
 from swarm.certification.tube_radii import BIN
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
 from swarm.geometry.lumped_mass import Strands, SwingModel, cable_model
-from swarm.jit import compiled
+from swarm.geometry.strays import Held, subtract_catenaries
 from swarm.planning import Plan
 from swarm.planning.clock_limits import COURSE_STEP, clock_limits
 from swarm.planning.shaping import COMPARED, steps_between_compared
-from swarm.signatures import Floats4, Ints1, contiguous
+from swarm.signatures import contiguous
 from swarm.threads import side_by_side
 
 Floats = npt.NDArray[np.float64]
@@ -69,12 +69,18 @@ class Course:
     duration: float
     apart: float
 
+    def begins(self, other: "Course") -> bool:
+        """Whether it is the beginning of the other, from where both are simulated."""
+        return other == replace(self, duration=other.duration, apart=other.apart) and (
+            self.duration < other.duration
+        )
+
 
 COURSES = (
     Course("urgent stop", 1.0, 0.0, True, 6.0, 0.5),
     Course("ordinary stop", 1.0, 0.0, False, 6.0, 2.0),
     Course("urgent rewind", 1.0, -1.0, True, 6.0, 0.3),
-    Course("urgent rewind", 1.0, -1.0, True, 20.0, 1.0),
+    Course("urgent rewind", 1.0, -1.0, True, 20.0, 0.9),
     Course("resume", 0.0, 1.0, False, 6.0, 2.0),
 )
 """What the clock may do. Strays are largest within a period, about 2 s, after the clock has reached
@@ -83,7 +89,8 @@ as far as urgent stops: they need fewer beginnings. A rewind meets the same chan
 motion twice, twice as much later as it begins later: with beginnings every 0.5 s, 3 of 250 others
 left the tube of the default overhand by up to 6 mm, with 0.3 s none. What it swings stays for
 longer than the 6 s, and comes to where the planned motion hardly swings: of 100 such rewinds 3 left
-the tube by up to 0.7 mm with beginnings every 4 s and every 2 s; with 1 s, 3.6 mm were left."""
+the tube by up to 0.7 mm with beginnings every 4 s and every 2 s; with 1 s, 3.6 mm were left. Every
+third of the short ones is the beginning of a long one."""
 
 _CERTIFIED_APART = 0.5
 """Seconds of mission time between the beginnings of ordinary changes, at most, where clearances are
@@ -260,13 +267,18 @@ def swings_after(
     certified, compared = plan.mission.fold.certifies_swing, steps_between_compared(model)
     everywhere = np.ones(len(plan.layout.lengths), np.bool_)
 
+    def beginnings(course: Course) -> Ints:
+        apart = course.apart
+        if certified and not course.urgent:
+            apart = min(apart, _CERTIFIED_APART)
+        return np.arange(0, len(planned.times) - 1, compared * round(apart / COMPARED))
+
     def groups() -> Iterator[_Group]:
         for course in changes:
-            apart = course.apart
-            if certified and not course.urgent:
-                apart = min(apart, _CERTIFIED_APART)
-            steps = compared * round(apart / COMPARED)
-            chosen = np.arange(0, len(planned.times) - 1, steps)
+            chosen = beginnings(course)
+            for other in changes:
+                if course.begins(other):
+                    chosen = np.setdiff1d(chosen, beginnings(other))
             times = limits.course(
                 planned.times[chosen], course.rate, course.target, course.duration,
                 urgent=course.urgent,
@@ -323,41 +335,16 @@ def _strays(
     ``joints`` (…, s, …, 3) are those of each of ``strands``; the strays of fewer links are
     interpolated where there is no joint. Those of segments with no strand are 0.
     """
-    if len(strands) == 1 and len(strands[0].segments) == ends.shape[-2] - 1:
-        return _of_strands(strands[0], joints[0], ends)
-    found = np.zeros((*ends.shape[:-2], ends.shape[-2] - 1, links + 1, 3))
+    count = ends.shape[-2] - 1
+    every = sum(len(some.segments) for some in strands) == count
+    found = (np.empty if every else np.zeros)((*ends.shape[:-2], count, links + 1, 3))
     for some, swung in zip(strands, joints, strict=True):
-        strays = _moments(_of_strands(some, swung, ends))
-        _scatter(strays, some.segments, links // some.model.links, _moments(found))
+        held = Held(some.segments, contiguous(some.lengths), some.segments)
+        places = contiguous(ends.reshape(-1, *ends.shape[-2:]))
+        subtract_catenaries(places, held, _moments(swung), _moments(found))
     return found
-
-
-def _of_strands(strands: Strands, joints: Floats, ends: Floats) -> Floats:
-    """Return the strays (…, s, links + 1, 3) of joints of strands from their catenaries."""
-    begin, fractions = strands.segments, np.linspace(0.0, 1.0, strands.model.links + 1)
-    still = solve_catenaries(ends[..., begin, :], ends[..., begin + 1, :], strands.lengths)
-    return still.strays(fractions, joints)
 
 
 def _moments(points: Floats) -> Floats:
     """Return points (…, s, joints, 3) with one axis of moments, as the kernel requires."""
     return contiguous(points.reshape(-1, *points.shape[-3:]))
-
-
-@compiled
-def _scatter(strays: Floats4, segments: Ints1, parts: int, found: Floats4) -> None:
-    """Write strays (k, s, links + 1, 3) to those of their segments (k, n − 1, parts · links + 1,
-    3), interpolated within links of ``parts``."""
-    last = strays.shape[2] - 1
-    for k in range(len(strays)):
-        for s in range(len(segments)):
-            own, there = strays[k, s], found[k, segments[s]]
-            for i in range(last + 1):
-                for x in range(3):
-                    there[parts * i, x] = own[i, x]
-            for part in range(1, parts):
-                share = part / parts
-                for i in range(last):
-                    for x in range(3):
-                        between = own[i, x] + share * (own[i + 1, x] - own[i, x])
-                        there[parts * i + part, x] = between

@@ -19,13 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from swarm.errors import SwarmError
 from swarm.geometry.catenary_kernel import arc_offset, solve
-from swarm.geometry.catenary_points import (
-    Arcs,
-    Vectors,
-    write_distances,
-    write_points,
-    write_strays,
-)
+from swarm.geometry.catenary_points import Arcs, Vectors, offsets_memory, write_points
 from swarm.geometry.catenary_shape import (
     SMALLEST_HALF_ANGLE,
     VERTICAL,
@@ -102,24 +96,9 @@ class Catenaries:
         """Return points (…, k, 3) at given fractions (k,) of the arc length of every strand."""
         fractions = _floats(fractions)
         points = np.empty((self.span.size, fractions.size, 3))
-        write_points(_flat(fractions), *self._for_kernels(), points)
+        memory = offsets_memory(fractions.size)
+        write_points(_flat(fractions), *self._for_kernels(), memory, points)
         return points.reshape(*self.span.shape, fractions.size, 3)
-
-    def strays(self, fractions: ArrayLike, others: Floats) -> Floats:
-        """Return vectors (…, k, 3) to other points (…, k, 3) from those at fractions (k,)."""
-        fractions = _floats(fractions)
-        strays = np.empty((self.span.size, fractions.size, 3))
-        flat = _flat(others, fractions.size, 3)
-        write_strays(_flat(fractions), *self._for_kernels(), flat, strays)
-        return strays.reshape(*self.span.shape, fractions.size, 3)
-
-    def distances(self, fractions: ArrayLike, others: Floats) -> Floats:
-        """Return distances (…, k) of other points (…, k, 3) from those at fractions (k,)."""
-        fractions = _floats(fractions)
-        distances = np.empty((self.span.size, fractions.size))
-        flat = _flat(others, fractions.size, 3)
-        write_distances(_flat(fractions), *self._for_kernels(), flat, distances)
-        return distances.reshape(*self.span.shape, fractions.size)
 
     def _for_kernels(self) -> "tuple[Arcs, Vectors]":
         return (

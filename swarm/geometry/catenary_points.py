@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary_kernel import SMALL_TURN, small_angle
-from swarm.jit import allocates, compiled, inner
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3
 
 Floats = npt.NDArray[np.float64]
@@ -41,17 +41,33 @@ class Vectors(NamedTuple):
     per_height: Floats2
 
 
+class Offsets(NamedTuple):
+    """Working memory (m,): angles and heights of points, and what leads to them."""
+
+    angles: Floats1
+    heights: Floats1
+    slopes: Floats1
+    roots: Floats1
+    exponents: Floats1
+
+
+def offsets_memory(fractions: int) -> Offsets:
+    """Return memory for strands with so many fractions, which one computation may use at a time."""
+    return Offsets(*np.empty((5, max(_TOGETHER, fractions + 1))))
+
+
 @compiled
-@allocates
-def write_points(fractions: Floats1, arcs: Arcs, vectors: Vectors, points: Floats3) -> None:
+def write_points(
+    fractions: Floats1, arcs: Arcs, vectors: Vectors, offsets: Offsets, points: Floats3
+) -> None:
     """Write points (q, k, 3) of strands (q,) at fractions (k,) of their arcs."""
-    strands, row = _strands_together(fractions), len(fractions) + 1
-    angles, heights = np.empty(strands * row), np.empty(strands * row)
+    strands, row = strands_together(fractions), len(fractions) + 1
+    angles, heights = offsets.angles, offsets.heights
     for begin in range(0, len(points), strands):
         end = min(begin + strands, len(points))
-        _write_offsets(fractions, arcs, (begin, end), angles, heights)
+        write_offsets(fractions, arcs, (begin, end), offsets)
         for q in range(begin, end):
-            first, (start, by_angle, by_height) = (q - begin) * row + 1, _vectors_of(vectors, q)
+            first, (start, by_angle, by_height) = (q - begin) * row + 1, vectors_of(vectors, q)
             for k in range(row - 1):
                 angle, height = angles[first + k], heights[first + k]
                 points[q, k, 0] = start[0] + (angle * by_angle[0] + height * by_height[0])
@@ -59,50 +75,14 @@ def write_points(fractions: Floats1, arcs: Arcs, vectors: Vectors, points: Float
                 points[q, k, 2] = start[2] + (angle * by_angle[2] + height * by_height[2])
 
 
-@compiled
-@allocates
-def write_strays(
-    fractions: Floats1, arcs: Arcs, vectors: Vectors, others: Floats3, strays: Floats3
-) -> None:
-    """Write the vectors (q, k, 3) to other points (q, k, 3) from those of :func:`write_points`."""
-    strands, row = _strands_together(fractions), len(fractions) + 1
-    angles, heights = np.empty(strands * row), np.empty(strands * row)
-    for begin in range(0, len(others), strands):
-        end = min(begin + strands, len(others))
-        _write_offsets(fractions, arcs, (begin, end), angles, heights)
-        for q in range(begin, end):
-            first, (start, by_angle, by_height) = (q - begin) * row + 1, _vectors_of(vectors, q)
-            for k in range(row - 1):
-                angle, height = angles[first + k], heights[first + k]
-                x = start[0] + (angle * by_angle[0] + height * by_height[0])
-                y = start[1] + (angle * by_angle[1] + height * by_height[1])
-                z = start[2] + (angle * by_angle[2] + height * by_height[2])
-                strays[q, k, 0] = others[q, k, 0] - x
-                strays[q, k, 1] = others[q, k, 1] - y
-                strays[q, k, 2] = others[q, k, 2] - z
-
-
-@compiled
-@allocates
-def write_distances(
-    fractions: Floats1, arcs: Arcs, vectors: Vectors, others: Floats3, distances: Floats2
-) -> None:
-    """Write the sizes (q, k) of the vectors of :func:`write_strays`."""
-    strays = np.empty_like(others)
-    write_strays(fractions, arcs, vectors, others, strays)
-    for q in range(len(strays)):
-        for k in range(len(fractions)):
-            x, y, z = strays[q, k, 0], strays[q, k, 1], strays[q, k, 2]
-            distances[q, k] = np.sqrt(x * x + y * y + z * z)
-
-
 @inner
-def _strands_together(fractions: Floats) -> int:
+def strands_together(fractions: Floats) -> int:
+    """Return the number of strands whose points are computed together."""
     return max(1, _TOGETHER // (len(fractions) + 1))
 
 
 @inner
-def _vectors_of(
+def vectors_of(
     vectors: Vectors, q: int
 ) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
     """Return the vectors of a strand as numbers, which may stay in registers."""
@@ -115,19 +95,16 @@ def _vectors_of(
 
 
 @inner
-@allocates
-def _write_offsets(
-    fractions: Floats, arcs: Arcs, chosen: tuple[int, int], angles: Floats, heights: Floats
-) -> None:
+def write_offsets(fractions: Floats, arcs: Arcs, chosen: tuple[int, int], offsets: Offsets) -> None:
     """Write :func:`.catenary_kernel.arc_offset` of the chosen strands at the same fractions (k,).
 
-    ``angles`` and ``heights`` have rows of k + 1, one after the other; the first of a row is 0.
+    Angles and heights have rows of k + 1, one after the other; the first of a row is 0.
     Each loop has few arrays: the compiler must be able to tell that they do not overlap.
     """
     begin, row = chosen[0], len(fractions) + 1
     strands = chosen[1] - begin
     size = strands * row
-    slopes, roots = np.empty(size), np.empty(size)
+    angles, heights, slopes, roots, _ = offsets
     for q in range(strands):
         first, turning = arcs.slope[begin + q], arcs.length[begin + q] / arcs.parameter[begin + q]
         slopes[q * row] = first
@@ -135,7 +112,7 @@ def _write_offsets(
             slopes[q * row + k] = first + fractions[k - 1] * turning
     for i in range(size):
         roots[i] = np.sqrt(1.0 + slopes[i] * slopes[i])
-    _write_arsinh(slopes, roots, angles)
+    _write_arsinh(offsets, size)
     for q in range(strands):
         begun = angles[q * row]
         for k in range(row):
@@ -154,21 +131,26 @@ def _write_offsets(
 
 
 @inner
-@allocates
-def _write_arsinh(slopes: Floats, roots: Floats, found: Floats) -> None:
-    """Write arsinh of slopes (k,), with √(1 + slope²) for each.
+def _write_arsinh(offsets: Offsets, size: int) -> None:
+    """Write arsinh of the first slopes, with √(1 + slope²) for each, as angles.
 
     The logarithm of a number m·2ᵉ is e·log 2 + 2 artanh((m − 1) / (m + 1)), the latter by its
     series: with m between √½ and √2, eleven terms leave an error below rounding.
     """
-    exponents, bits = np.empty(len(slopes)), found.view(np.int64)
-    for i in range(len(slopes)):
+    found, slopes, roots, exponents = (
+        offsets.angles,
+        offsets.slopes,
+        offsets.roots,
+        offsets.exponents,
+    )
+    bits = found.view(np.int64)
+    for i in range(size):
         found[i] = abs(slopes[i]) + roots[i]
-    for i in range(len(slopes)):
+    for i in range(size):
         above = bits[i] - _ROOT_HALF
         exponents[i] = float(above >> 52)
         bits[i] = (above & _DIGITS) + _ROOT_HALF
-    for i in range(len(slopes)):
+    for i in range(size):
         part = (found[i] - 1.0) / (found[i] + 1.0)
         square = part * part
         series = 1.0 / 21.0

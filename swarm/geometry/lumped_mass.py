@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.geometry.catenary import solve_catenaries
+from swarm.geometry.distance import norms
 from swarm.geometry.hanging_links import hung_strands
 from swarm.geometry.lumped_mass_kernel import Drag, Steps, swing_each
+from swarm.geometry.strays import strays_of
 from swarm.jit import inner
 
 Floats = npt.NDArray[np.float64]
@@ -123,8 +124,7 @@ class Strands:
     def strays(self, joints: Floats, ends: Floats) -> Floats:
         """Return the distances (k, s) of :func:`stray` for joints (k, s, links + 1, 3) of these
         strands and grip points (k, n, 3)."""
-        begin = self.segments
-        return _farthest(joints, ends[:, begin], ends[:, begin + 1], self.lengths)
+        return _farthest(joints, ends, self.segments, self.lengths)
 
     def _swing(self, states: Floats, ends: Floats, every: int, parts: int) -> Floats:
         """Return the last ``parts`` of the states (c, ceil(k / every), …, s, links + 1, 3)."""
@@ -145,14 +145,12 @@ def stray(joints: Floats, ends: Floats, lengths: Floats) -> Floats:
     same times; compared at equal arc length. Returns (k, n − 1), infinite for strands that are
     shorter than their chord at the time or were so before.
     """
-    return _farthest(joints, ends[:, :-1], ends[:, 1:], lengths)
+    return _farthest(joints, ends, np.arange(len(lengths)), lengths)
 
 
-def _farthest(joints: Floats, starts: Floats, ends: Floats, lengths: Floats) -> Floats:
-    fractions = np.linspace(0.0, 1.0, joints.shape[2])
-    chords = np.linalg.norm(ends - starts, axis=2)
-    still = solve_catenaries(starts, ends, np.maximum(lengths, chords))
-    distance: Floats = still.distances(fractions, joints).max(axis=-1)
+def _farthest(joints: Floats, ends: Floats, segments: Ints, lengths: Floats) -> Floats:
+    chords = np.linalg.norm(ends[:, segments + 1] - ends[:, segments], axis=2)
+    distance: Floats = norms(strays_of(joints, ends, segments, lengths)).max(axis=-1)
     return np.where((chords > lengths) | np.isnan(distance), np.inf, distance)
 
 
