@@ -41,6 +41,7 @@ from swarm.planning.shaping import COMPARED
 from swarm.threads import side_by_side
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
 
 BETWEEN_SAMPLES = 0.05
 """Share by which a stray can be larger between compared moments: ω²h²/8 for h = 0.1 s and a period
@@ -115,7 +116,8 @@ def swing_after_urgent_stops(plan: Plan) -> PairSwing | None:
         return None
     near = begun.nearer_than(NEAR)
     wanted = _wanted(near, len(plan.layout.lengths))
-    near.collect(swings_after(plan, near.span, near.planned, _URGENT_STOPS, wanted))
+    for swung in swings_after(plan, near.span, near.planned, _URGENT_STOPS, wanted):
+        near.collect_pairs(swung)
     return _pairs_of(near)
 
 
@@ -192,17 +194,29 @@ class _Swings:
 
     def collect(self, swings: Iterable[Swung]) -> None:
         """Add the swings."""
-        start, count = self.span[0], _intervals(self.span)
         for swung in swings:
-            bins = np.minimum(((swung.times - start) / BIN).astype(np.intp), count - 1)
-            strays = swung.strays.reshape(-1, *swung.strays.shape[2:])
+            self.collect_pairs(swung)
+            bins, strays = self._bins(swung), _moments(swung)
             name = swung.course.name if swung.course else _PLANNED
+            count = _intervals(self.span)
             most = self.found.setdefault(name, np.zeros((count, *strays.shape[1:3])))
             collect_distances(bins.ravel(), strays, most)
-            collect_approaches(self.close, bins.ravel(), strays, self.approach)
-            if swung.course is not None and swung.course.target == 0.0:
-                last = swung.strays[:, -_LAST:]
-                collect_settling(self.close, bins[:, -1], last, self.approach)
+
+    def collect_pairs(self, swung: Swung) -> None:
+        """Add the swings to the approach of close pairs alone."""
+        bins = self._bins(swung)
+        collect_approaches(self.close, bins.ravel(), _moments(swung), self.approach)
+        if swung.course is not None and swung.course.target == 0.0:
+            last = swung.strays[:, -_LAST:]
+            collect_settling(self.close, bins[:, -1], last, self.approach)
+
+    def _bins(self, swung: Swung) -> Ints:
+        bins = ((swung.times - self.span[0]) / BIN).astype(np.intp)
+        return np.minimum(bins, _intervals(self.span) - 1)
+
+
+def _moments(swung: Swung) -> Floats:
+    return swung.strays.reshape(-1, *swung.strays.shape[2:])
 
 
 def _intervals(span: tuple[float, float]) -> int:

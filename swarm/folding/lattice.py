@@ -13,7 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.folding.lattice_states import Surfaces, VehicleLattice, accumulate_costs, fill_costs
+from swarm.folding.lattice_states import (
+    Surfaces,
+    VehicleLattice,
+    accumulate_costs,
+    fill_costs,
+    segment_of,
+)
 from swarm.folding.layout import KnotLayout
 from swarm.folding.margins import Margins, PenaltyModel
 from swarm.folding.path import FoldPath
@@ -101,7 +107,7 @@ def segment_costs(
         begin = int(np.searchsorted(following.progress, -2.0 * step, side="right"))
         ahead = following.since(begin)
         cost = np.empty((len(ahead.progress), len(behind.progress)))
-        fill_costs(ahead, behind, float(length), surfaces, model, cost)
+        fill_costs(ahead, behind, segment_of(float(length)), surfaces, model, cost)
         yield SegmentCosts(ahead.progress, behind.progress, cost)
         behind = following
 

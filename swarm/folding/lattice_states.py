@@ -18,7 +18,7 @@ from swarm.geometry.catenary_kernel import Catenary, solve_catenary, strand_poly
 from swarm.geometry.catenary_shape import drop_at
 from swarm.geometry.distance import point_distance
 from swarm.geometry.sensitivity import BOTH_ENDS, FINEST, chord_response, error_of_ends
-from swarm.jit import allocates, compiled, inner
+from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Ints1, Signs1, Signs2
 
 Floats = npt.NDArray[np.float64]
@@ -114,19 +114,29 @@ class _Extent(NamedTuple):
     length: float
 
 
+class Segment(NamedTuple):
+    """Length of a segment in metres, and memory for its outline (PIECES + 1, 3)."""
+
+    length: float
+    points: Floats2
+
+
+def segment_of(length: float) -> Segment:
+    """Return a segment with memory, which one computation may use at a time."""
+    return Segment(length, np.empty((PIECES + 1, 3)))
+
+
 @compiled
-@allocates
 def fill_costs(
     ahead: VehicleLattice,
     behind: VehicleLattice,
-    length: float,
+    segment: Segment,
     surfaces: Surfaces,
     model: PenaltyModel,
     cost: Floats2,
 ) -> None:
-    """Write the costs (a, b) of all states of a segment of some length."""
-    margins = model.margins
-    points = np.empty((PIECES + 1, 3))
+    """Write the costs (a, b) of all states of a segment."""
+    (length, points), margins = segment, model.margins
     for a in range(len(ahead.progress)):
         for b in range(len(behind.progress)):
             rear, front = behind.positions[b], ahead.positions[a]
