@@ -121,6 +121,11 @@ def swing_after_urgent_stops(plan: Plan) -> PairSwing | None:
     return _pairs_of(near)
 
 
+def begin_swings(plan: Plan) -> None:
+    """Compute and keep what :func:`swing_after_urgent_stops` and :func:`swing_tube` begin with."""
+    _begun(_Named(digest(plan), plan))
+
+
 def _wanted(swings: "_Swings", strands: int) -> Wanted:
     """Return the strands of the close pairs, in their intervals and beside them."""
     close = swings.close

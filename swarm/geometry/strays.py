@@ -88,8 +88,12 @@ def _write_strays(
             moment, strand = divmod(begin + q, count)
             here = slice(q * row + 1, (q + 1) * row)
             moved = offsets.angles[here], offsets.heights[here]
-            _subtract(joints[moment, strand], vectors, q, moved, own)
-            _spread(own, found[moment, held.rows[strand]])
+            there = found[moment, held.rows[strand]]
+            if len(there) == len(own):
+                _subtract(joints[moment, strand], vectors, q, moved, there)
+            else:
+                _subtract(joints[moment, strand], vectors, q, moved, own)
+                _spread(own, there)
 
 
 @inner

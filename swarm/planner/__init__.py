@@ -4,6 +4,8 @@ import importlib
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
@@ -13,8 +15,10 @@ from swarm.certification.budget import least_remaining
 from swarm.certification.certificate import (
     Certificate,
     CertifiedPlan,
+    MeasuredClearances,
     certify,
     certify_robustness,
+    measure_clearances,
     with_recorded_robustness,
 )
 from swarm.certification.stream_loss import certify_stream_loss
@@ -23,6 +27,7 @@ from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower
 from swarm.planner.repairs import Kept, Unfinished, least_short, repair, slowed_for_budget
 from swarm.planning import Plan
 from swarm.planning.candidates import candidates
+from swarm.threads import side_by_side
 
 Progress = Callable[[str, float], None]
 
@@ -241,16 +246,27 @@ def _certified(paced: PacedPlan, progress: Progress | None) -> PlanningResult:
     Of several timings the last one that is cleared is returned. Where none is, it is the last one
     that is short of nothing but its budget, or else the first.
     """
-    timings = [paced]
+    timings, measured = [paced], [_measured(paced.plan, progress)]
     for _ in range(_RETIMED):
         again = slower(timings[-1], certify_stream_loss(timings[-1].plan))
         if again is None:
             break
         timings.append(again)
+        measured.append(_measured(again.plan, progress))
     refused: list[PlanningResult] = []
-    for again in reversed(timings):
-        found = PlanningResult(again.plan, certify(again.plan, progress=progress))
+    for again, clearances in zip(reversed(timings), reversed(measured), strict=True):
+        certificate = certify(again.plan, measured=clearances, progress=progress)
+        found = PlanningResult(again.plan, certificate)
         if found.certificate.cleared:
             return found
         refused.append(found)
     return next((found for found in refused if _certifiable(found.assessment)), refused[-1])
+
+
+def _measured(plan: Plan, progress: Progress | None) -> MeasuredClearances:
+    """Return the measured clearances of a plan, and have lost setpoints certified meanwhile."""
+    loss = partial(certify_stream_loss, plan)
+    tasks: tuple[Callable[[], Any], ...] = partial(measure_clearances, plan, progress), loss
+    measured: MeasuredClearances
+    measured, _ = side_by_side(lambda task: task(), tasks)
+    return measured

@@ -18,6 +18,7 @@ from swarm.planner.pacing import (
 from swarm.planner.short_budgets import (
     ShortBudgets,
     budgets_after_urgent_stops,
+    checked_clearances,
     complete_budgets,
     short_budgets,
 )
@@ -47,6 +48,9 @@ rate of half."""
 _RESERVE = 0.01
 """Metres that repairs for a budget aim beyond what it is short of: repairs that aim at nothing left
 over ended 3 to 9 mm short, because each also moves the moments beside it."""
+
+_NEARLY_CLOSED = 0.03
+"""Metres in all up to which another repair is expected to close what a budget is short of."""
 
 _ASIDE = 3.0
 """Metres aside for a metre less of sinking: 3 m below a vehicle of 0.2 m radius, 0.1 m aside take a
@@ -167,7 +171,7 @@ def repair(candidate: Candidate, notes: tuple[str, ...], allowed: int) -> Repair
                 tried = _repaired_at_once(tried, paced, failures)
             else:
                 if not kept or _fold_time(paced.plan) <= longer * _fold_time(kept[0].paced.plan):
-                    kept.append(_keep(tried, paced, closed=bool(kept) and not kept[-1].short))
+                    kept.append(_keep(tried, paced, kept))
                 tried = None
         if tried is None and kept:
             tried, kept = _repaired_again(kept)
@@ -281,7 +285,7 @@ def _checked(plan: Plan, *, searched: bool) -> tuple[PacedPlan, tuple[Moment, ..
         return paced, failures
     slowed = slowed_for_swing(paced)
     if not exceeds_endurance(slowed.plan):
-        return slowed, violations(slowed.plan)
+        return slowed, checked_clearances(slowed.plan)
     failures = () if searched else violations(paced.plan, swinging=False)
     return (paced, failures) if failures else (slowed, ())
 
@@ -324,12 +328,14 @@ def _fold_time(plan: Plan) -> float:
     return plan.phase("fold").duration
 
 
-def _keep(candidate: Candidate, paced: PacedPlan, *, closed: bool) -> Kept:
-    """Return what is kept; ``closed`` where the budget of the plan before it closes."""
+def _keep(candidate: Candidate, paced: PacedPlan, before: Sequence[Kept]) -> Kept:
+    """Return what is kept, with its budget unless that of the plan before it closes."""
+    last = before[-1].budget if before else None
+    nearly = last is not None and last.total < _NEARLY_CLOSED
+    of_plan = complete_budgets if nearly else budgets_after_urgent_stops
+    budget = of_plan(paced.plan) if not before or before[-1].short else None
     # repairs are counted anew from a plan that keeps all clearances
-    candidate = replace(candidate, attempt=0)
-    budget = None if closed else budgets_after_urgent_stops(paced.plan)
-    return Kept(candidate, paced, budget, _sinking(paced.plan))
+    return Kept(replace(candidate, attempt=0), paced, budget, _sinking(paced.plan))
 
 
 def _sinking(plan: Plan) -> list[Shortfall]:

@@ -1,10 +1,15 @@
 """Where the clearance budget of a plan is short: the quickest part of it first."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
+from swarm.certification.clearances import Moment, violations
 from swarm.certification.smallest_budgets import ShortBudget, short_moments
-from swarm.certification.swing_tube import swing_after_urgent_stops, swing_tube
+from swarm.certification.swing_tube import begin_swings, swing_after_urgent_stops, swing_tube
 from swarm.planning import Plan
+from swarm.threads import side_by_side
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,19 @@ def short_budgets(plan: Plan, *, complete: bool) -> ShortBudgets:
     asked for, where it is at all."""
     found = budgets_after_urgent_stops(plan)
     return found if found.moments or not complete else complete_budgets(plan)
+
+
+def checked_clearances(plan: Plan) -> tuple[Moment, ...]:
+    """Return the moments at which clearances do not hold.
+
+    Meanwhile, begin the swings that tell where budgets are short; where clearances are certified in
+    the tube, these begin with it.
+    """
+    if _accepted(plan) or plan.mission.fold.certifies_swing:
+        return violations(plan)
+    tasks: tuple[Callable[[], Any], ...] = partial(violations, plan), partial(begin_swings, plan)
+    failures, _ = side_by_side(lambda task: task(), tasks)
+    return tuple(failures)
 
 
 def budgets_after_urgent_stops(plan: Plan) -> ShortBudgets:

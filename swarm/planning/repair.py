@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from swarm.folding.schedule import Schedule, require_extra
 from swarm.planning.foldings import SAMPLING_ERROR, Folding
@@ -43,14 +44,16 @@ def with_larger_margins(folding: Folding, plan: Plan, shortfalls: Sequence[Short
     schedule = folding.schedule
     stages = np.arange(4.0 * schedule.last_stage) / 4.0
     places = schedule.at(stages)[0] + (plan.layout.corners[0] - folding.layout.corners[0])
+    places = places.reshape(len(stages), -1)
     for check, margin in REPAIRABLE.items():
         found = [(each.time, each.metres) for each in shortfalls if each.check == check]
         if found:
             times, metres = np.array(found).T
             # pairs that are short at the same time share a row: thousands have a few hundred times
             moments, which = np.unique(times, return_inverse=True)
-            offsets = plan.motion.at(moments)[0][:, None] - places
-            at = stages[np.argmin((offsets**2).sum(axis=(2, 3)), axis=1)][which]
+            teams = plan.motion.places(moments).reshape(len(moments), -1)
+            apart = scipy.spatial.distance.cdist(teams, places, "sqeuclidean")
+            at = stages[np.argmin(apart, axis=1)][which]
             # Where an earlier increase was not enough, double it.
             before = getattr(schedule.extra, margin)[at.astype(np.intp)]
             increase = np.minimum(np.maximum(1.1 * metres + SAMPLING_ERROR, before), _LARGEST_STEP)
