@@ -82,7 +82,8 @@ def allocates(function: Callable[Parameters, Result]) -> Callable[Parameters, Re
 
     Its references to arrays are counted. That takes half of the time of functions that pass many
     arrays on to others, and more where several threads count references to the same arrays. Other
-    functions do not count: they must not make or return arrays, nor call what returns them.
+    functions do not count (``_nrt`` of Numba): they must not make or return arrays, nor call what
+    returns them.
     """
     vars(function)["allocates"] = True
     return function
