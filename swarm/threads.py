@@ -75,3 +75,8 @@ def _kept_pool(threads: int) -> ThreadPoolExecutor:
 
 def _mark() -> None:
     _THIS.works = True
+
+
+if hasattr(os, "register_at_fork"):
+    # a forked process has none of the threads, and would wait for them
+    os.register_at_fork(after_in_child=_kept_pool.cache_clear)

@@ -1,5 +1,8 @@
 """Computations side by side: the results, their order, errors, and how far they run ahead."""
 
+import os
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 
@@ -47,3 +50,26 @@ def test_items_are_not_taken_long_before_their_results() -> None:
     assert next(results) == 0
     assert len(taken) == 5
     results.close()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no processes are forked here")
+def test_a_forked_process_has_threads_of_its_own() -> None:
+    program = (
+        "import os\nfrom swarm.threads import side_by_side\n"
+        "double = lambda: list(side_by_side(lambda x: 2 * x, [1, 2], threads=2))\n"
+        "assert double() == [2, 4]\n"
+        "child = os.fork()\n"
+        "if child == 0:\n    os._exit(0 if double() == [2, 4] else 1)\n"
+        "raise SystemExit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", program], timeout=60.0, check=False
+    )
+    assert done.returncode == 0
+
+
+def test_work_side_by_side_may_be_made_of_such_work() -> None:
+    def rows(deep: int) -> list[int]:
+        return [sum(rows(deep - 1)) if deep else 1 for _ in side_by_side(abs, [1, 2], threads=2)]
+
+    assert list(side_by_side(rows, [3, 3, 3, 3], threads=2)) == [[8, 8]] * 4
