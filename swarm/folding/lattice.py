@@ -127,7 +127,7 @@ def _lattice(
     lead = margins.chord_ratio * layout.lengths[vehicle:].sum()
     leader = path.station(np.minimum(progress + lead, path.stops[-1]))
     return VehicleLattice(
-        positions=path.at(vehicle, progress)[0],
+        positions=path.places(vehicle, progress),
         progress=progress,
         station=station,
         edge=_edge(path, station),

@@ -27,6 +27,10 @@ class TeamPaths(Protocol):
         """Return the position (…, 3) of a vehicle at progress (…,), and two derivatives by it."""
         ...
 
+    def places(self, vehicle: int, progress: Floats, /) -> Floats:
+        """Return the positions (…, 3) of :meth:`at` alone, in a third of the time."""
+        ...
+
     def line(self, count: int, /) -> Floats:
         """Return the path (count, 3) of the last vehicle, for pictures."""
         ...
@@ -190,7 +194,7 @@ class FoldPath:
 
     def line(self, count: int) -> Floats:
         """Return the path (count, 3) of the last vehicle, for pictures."""
-        return self.at(len(self.corners) - 1, np.linspace(0.0, self.stops[-1], count))[0]
+        return self.places(len(self.corners) - 1, np.linspace(0.0, self.stops[-1], count))
 
     def at(self, vehicle: int, progress: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the position (…, 3) of a vehicle at progress (…,), and two derivatives by it."""
@@ -198,21 +202,28 @@ class FoldPath:
         station = guide.station_of_progress(progress)
         rate = guide.station_of_progress(progress, 1)[..., None]
         bend = guide.station_of_progress(progress, 2)[..., None]
-        height = self._height(vehicle)
-        place, along, curved = (
-            np.concatenate([guide.plan(station, k), height(station, k)], axis=-1) for k in range(3)
+        place, along, curved = (self._by_station(vehicle, station, k) for k in range(3))
+        return place, along * rate, curved * rate**2 + along * bend
+
+    def places(self, vehicle: int, progress: Floats) -> Floats:
+        """Return the positions (…, 3) of :meth:`at` alone, in a third of the time."""
+        return self._by_station(vehicle, self.station(progress), 0)
+
+    def _by_station(self, vehicle: int, station: Floats, order: int) -> Floats:
+        """Return a derivative (…, 3) of a vehicle's position by the station (…,)."""
+        guide, height = self.guide, self._height(vehicle)
+        found: Floats = np.concatenate(
+            [guide.plan(station, order), height(station, order)], axis=-1
         )
         if vehicle > 0:
-            last = guide.stations[vehicle]
-            heading = guide.headings[vehicle - 1]
+            # straight over the own corner, which others pass around
+            last, heading = guide.stations[vehicle], guide.headings[vehicle - 1]
             span = last - guide.stations[vehicle - 1]
-            sharp = station > last - min(guide.rounding, 0.5 * span)
+            sharp = (station > last - min(guide.rounding, 0.5 * span))[..., None]
             ahead = (station - last)[..., None] * heading + guide.corners[vehicle, :2]
-            sharp = sharp[..., None]
-            place[..., :2] = np.where(sharp, ahead, place[..., :2])
-            along[..., :2] = np.where(sharp, heading, along[..., :2])
-            curved[..., :2] = np.where(sharp, 0.0, curved[..., :2])
-        return place, along * rate, curved * rate**2 + along * bend
+            straight = (ahead, heading, 0.0)[order]
+            found[..., :2] = np.where(sharp, straight, found[..., :2])
+        return found
 
 
 _STEEP_END = 1.6

@@ -202,7 +202,7 @@ def _as_flown(
 
 def _positions(path: TeamPaths, progress: Floats) -> Floats:
     """Return positions (m, n, 3) of all vehicles on γ at progress (m, n)."""
-    return np.stack([path.at(i, along)[0] for i, along in enumerate(progress.T)], axis=1)
+    return np.stack([path.places(i, along) for i, along in enumerate(progress.T)], axis=1)
 
 
 def require_extra(schedule: Schedule, margin: str, stages: Floats, metres: Floats) -> Schedule:

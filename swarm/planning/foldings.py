@@ -15,6 +15,7 @@ from swarm.folding.schedule import Schedule, make_schedule
 from swarm.folding.soft_constraints import strand_costs
 from swarm.knots.grid import OpenGrid
 from swarm.mission import Mission
+from swarm.threads import side_by_side
 
 Progress = Callable[[str, float], None]
 
@@ -173,21 +174,27 @@ def _best(
     """Return the indices of the best openings, at most ``wanted``, best first."""
     costs: list[float] = []
     scores: list[float] = []
-    for k, diagram in enumerate(opened):
-        if k >= _COMPARED:
-            leading = int(np.argmin(scores))
-            if costs[leading] < _OBSTRUCTED * len(diagram.corners) or k - leading > patience:
-                break
-        if progress:
-            progress("comparing openings of the grid diagram", k / len(opened))
+
+    def cost_and_score(diagram: OpenGrid) -> tuple[float, float]:
         fit = fit_to_cable(diagram, parameters, margins)
         layout = lay_out_apart(diagram, fit, margins)
         guide = make_guide(layout, fit.slope, fit.rounding)
         square = float(layout.lengths.sum()) ** 2
+        # by now: an opening that is not among the best of these is not among those of all
         chosen = sorted(scores)[:wanted]
         enough = chosen[-1] / square if len(chosen) == wanted else np.inf
-        costs.append(assignment_cost(layout, guide, margins, _STEP * fit.cell, enough))
-        scores.append(costs[-1] * square)
+        cost = assignment_cost(layout, guide, margins, _STEP * fit.cell, enough)
+        return cost, cost * square
+
+    for cost, score in side_by_side(cost_and_score, opened):
+        costs.append(cost)
+        scores.append(score)
+        done, leading = len(scores), int(np.argmin(scores))
+        if progress:
+            progress("comparing openings of the grid diagram", done / len(opened))
+        clear = costs[leading] < _OBSTRUCTED * len(opened[done - 1].corners)
+        if done >= _COMPARED and (clear or done - leading > patience):
+            break
     return [int(k) for k in np.argsort(scores, kind="stable")[:wanted]]
 
 

@@ -77,3 +77,9 @@ def test_a_vehicle_that_stops_at_a_corner_arrives_straight(path: FoldPath) -> No
     across = np.array([-heading[1], heading[0]]) / np.linalg.norm(heading)
     assert np.abs((own[:, :2] - path.corners[4, :2]) @ across).max() < 1e-9
     assert np.linalg.norm(passing[-1, :2] - path.corners[4, :2]) > 0.05
+
+
+def test_places_are_the_positions_to_the_last_bit(path: FoldPath) -> None:
+    for vehicle, stop in enumerate(path.stops):
+        progress = np.linspace(path.start, stop + 1.0, 500)
+        assert np.array_equal(path.places(vehicle, progress), path.at(vehicle, progress)[0])
