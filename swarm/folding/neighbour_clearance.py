@@ -13,7 +13,7 @@ from swarm.folding.end_response import add_to_ends, arc_fraction, largest_respon
 from swarm.folding.margins import Penalty, PenaltyModel, Team
 from swarm.folding.outlines import PIECES, direction_between, point_at
 from swarm.folding.strand_clearance import preferred_distance
-from swarm.geometry.distance import point_distance, polyline_distance_sized
+from swarm.geometry.distance import point_distance, polyline_distance
 from swarm.geometry.sensitivity import FAR_END, FINEST, NEAR_END, error_of_ends, finest_piece
 from swarm.geometry.vectors import times
 from swarm.jit import compiled, inner
@@ -230,7 +230,7 @@ def _penalize_free_part(
     """
     points, shapes = chain.points, chain.shapes
     own, limit, reach = free.segment, free.limit, free.reach
-    sizes, part = junction.memory
+    part = junction.memory.part
     neighbour = 2 * junction.first + 1 - own
     outline, other, outward = points[own], points[neighbour], own > neighbour
     low, high = _close_points(outline, reach, free.sine, outward)
@@ -245,9 +245,7 @@ def _penalize_free_part(
     # pieces that are farther than the vehicle's side of the free part need not be compared
     nearest = part[low] if outward else part[high - 1]
     most = min(reach, _NOT_CLOSER * _nearest_corner(nearest, other[begin:end]))
-    distance, here, there = polyline_distance_sized(
-        part[low:high], other[begin:end], sizes[neighbour - junction.first, begin : end - 1], most
-    )
+    distance, here, there = polyline_distance(part[low:high], other[begin:end], most)
     if distance >= reach:
         return 0.0
     here, there = here + low, there + begin

@@ -205,26 +205,6 @@ def polyline_distance(first: Floats, second: Floats, limit: float) -> tuple[floa
 
 
 @inner
-def polyline_distance_sized(
-    first: Floats, second: Floats, sizes: Floats, limit: float
-) -> tuple[float, float, float]:
-    """As :func:`polyline_distance`, with given lengths (k − 1,) of the pieces of the second."""
-    best, here, there = limit, 0.0, 0.0
-    for i in range(len(first) - 1):
-        own = _piece_length(first, i)
-        for j in range(len(second) - 1):
-            reach = 2.0 * best + own + sizes[j]
-            if _square_between(first, i, second, j) * (1.0 - 1e-12) > reach * reach:
-                continue
-            square, s, t = segment_distance(first, i, second, j)
-            if np.isnan(square):
-                return np.nan, 0.0, 0.0
-            if square < best * best:
-                best, here, there = float(np.sqrt(square)), i + s, j + t
-    return best, here, there
-
-
-@inner
 def _square_between(first: Floats, i: int, second: Floats, j: int) -> float:
     """Return the square of twice the distance of the middles of two pieces.
 
