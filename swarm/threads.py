@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, nullcontext
 from functools import cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -47,6 +47,13 @@ def side_by_side(
             for left in pending:
                 left.cancel()
             wait(pending)
+
+
+def both(first: Callable[[], Item], second: Callable[[], Result]) -> tuple[Item, Result]:
+    """Return the results of two computations, side by side."""
+    tasks: tuple[Callable[[], Any], ...] = first, second
+    found, other = side_by_side(lambda task: task(), tasks)
+    return found, other
 
 
 def usual_threads() -> int:

@@ -145,7 +145,7 @@ def _raise_distances(bins: Ints1, strays: Floats4, most: Floats3) -> None:
             for j in range(strays.shape[2]):
                 x, y, z = strays[m, i, j, 0], strays[m, i, j, 1], strays[m, i, j, 2]
                 square, known = x * x + y * y + z * z, most[bins[m], i, j]
-                # few are larger, and only these need a root; what is not a number is none of both
+                # few are larger, and only these need a root; NaN fails both comparisons
                 if not square <= known * known:
                     most[bins[m], i, j] = np.sqrt(square) if square >= 0.0 else np.inf
 

@@ -8,10 +8,9 @@ two to three times as far: in the tube with them, no plan of the figure-eight wa
 counts all of them, for strands.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
-from typing import Any
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -38,7 +37,7 @@ from swarm.certification.swing_runs import (
 from swarm.certification.tube_radii import BIN, LEAVES, TubeRadii
 from swarm.planning import Plan, digest
 from swarm.planning.shaping import COMPARED
-from swarm.threads import side_by_side
+from swarm.threads import both
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -256,11 +255,9 @@ def _begun(named: _Named) -> _Swings | None:
     if span is None:
         return None
     middles = np.asarray(span[0] + BIN * (np.arange(_intervals(span)) + 0.5), dtype=np.float64)
-    tasks: tuple[Callable[[], Any], ...] = (
-        partial(close_pairs, plan, middles, exempt_length(plan)),
-        partial(planned_swing, plan, span),
+    close, planned = both(
+        lambda: close_pairs(plan, middles, exempt_length(plan)), lambda: planned_swing(plan, span)
     )
-    close, planned = side_by_side(lambda task: task(), tasks)
     swings = _Swings(span, planned, close, {}, np.zeros(len(close.bins)))
     swings.collect([planned.swung])
     return swings

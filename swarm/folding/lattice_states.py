@@ -14,7 +14,12 @@ from swarm.folding.margins import Margins, PenaltyModel
 from swarm.folding.outlines import PIECES, reachable_length
 from swarm.folding.soft_constraints import margin_cost, vehicle_cost
 from swarm.folding.vehicle_clearance import DISC_ERRORS, rotor_disc_cost
-from swarm.geometry.catenary_kernel import Catenary, solve_catenary, strand_polygon
+from swarm.geometry.catenary_kernel import (
+    LEAST_HALF_ANGLE,
+    Catenary,
+    solve_catenary,
+    strand_polygon,
+)
 from swarm.geometry.catenary_shape import drop_at
 from swarm.geometry.distance import point_distance
 from swarm.geometry.sensitivity import BOTH_ENDS, FINEST, chord_response, error_of_ends
@@ -49,9 +54,6 @@ _CLOSEST_PROGRESS = 0.4
 
 _LONGEST_STATION = 2.2
 """Largest difference of station of the two vehicles, over the length of the segment."""
-
-_SMALLEST_HALF_ANGLE = 1e-6
-"""Half angle below which a strand counts as straight; see :mod:`swarm.geometry.catenary_kernel`."""
 
 _PARALLEL = 1e-12
 """Square metres of the plan-view parallelogram of chord and edge below which they are parallel."""
@@ -220,7 +222,7 @@ def _surface_cost(
             continue
         if not solved:
             enough = reachable_length(length, chord)
-            strand = solve_catenary(rear, front, enough, _SMALLEST_HALF_ANGLE)
+            strand = solve_catenary(rear, front, enough, LEAST_HALF_ANGLE)
             angle, turn = math.asinh(strand.slope), strand.span / strand.parameter
             solved = True
         half_turn = 0.5 * turn * share

@@ -19,7 +19,7 @@ SMALL_TURN = 1e-2
 """Length over parameter below which a difference of two arsinh loses two digits and more."""
 _VERTICAL = 1e-6
 """Smallest span over length; a smaller one counts as this, which moves an end by a millionth."""
-_SMALLEST_HALF_ANGLE = 1e-6
+LEAST_HALF_ANGLE = 1e-6
 """At this half angle a strand sags by a quarter of a millionth of its span."""
 _SMALLEST_HEIGHT = 1e-18
 """Metres; replaces a height of 0 over the floor, where a branch's derivative is 0 / 0."""
@@ -124,7 +124,7 @@ def small_angle(half: float) -> float:
 @inner
 def sample_strand(start: Floats, end: Floats, length: float, points: Floats) -> None:
     """Write points (k, 3) of a strand at equal distances along its arc, both ends included."""
-    strand = solve_catenary(start, end, length, _SMALLEST_HALF_ANGLE)
+    strand = solve_catenary(start, end, length, LEAST_HALF_ANGLE)
     last = len(points) - 1
     first, turning = arc_start(strand.slope), length / strand.parameter
     for k in range(last + 1):
@@ -143,7 +143,7 @@ def strand_polygon(start: Floats, end: Floats, length: float, points: Floats) ->
     distances along the arc would cut off the bottom of a narrow loop. Corners lie below the strand
     by as much as edges lie above it. Return the catenary.
     """
-    strand = solve_catenary(start, end, length, _SMALLEST_HALF_ANGLE)
+    strand = solve_catenary(start, end, length, LEAST_HALF_ANGLE)
     span, parameter, slope = strand.span, strand.parameter, strand.slope
     last = len(points) - 1
     # Hyperbolic functions by powers of one exponential: of the angle at the start, and per piece.

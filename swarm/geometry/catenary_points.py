@@ -61,8 +61,8 @@ def write_points(
     fractions: Floats1, arcs: Arcs, vectors: Vectors, offsets: Offsets, points: Floats3
 ) -> None:
     """Write points (q, k, 3) of strands (q,) at fractions (k,) of their arcs."""
-    strands, row = strands_together(fractions), len(fractions) + 1
-    angles, heights = offsets.angles, offsets.heights
+    row, (angles, heights, _, _, _) = len(fractions) + 1, offsets
+    strands = len(angles) // row
     for begin in range(0, len(points), strands):
         end = min(begin + strands, len(points))
         write_offsets(fractions, arcs, (begin, end), offsets)
@@ -73,12 +73,6 @@ def write_points(
                 points[q, k, 0] = start[0] + (angle * by_angle[0] + height * by_height[0])
                 points[q, k, 1] = start[1] + (angle * by_angle[1] + height * by_height[1])
                 points[q, k, 2] = start[2] + (angle * by_angle[2] + height * by_height[2])
-
-
-@inner
-def strands_together(fractions: Floats) -> int:
-    """Return the number of strands whose points are computed together."""
-    return max(1, _TOGETHER // (len(fractions) + 1))
 
 
 @inner
@@ -137,12 +131,7 @@ def _write_arsinh(offsets: Offsets, size: int) -> None:
     The logarithm of a number m·2ᵉ is e·log 2 + 2 artanh((m − 1) / (m + 1)), the latter by its
     series: with m between √½ and √2, eleven terms leave an error below rounding.
     """
-    found, slopes, roots, exponents = (
-        offsets.angles,
-        offsets.slopes,
-        offsets.roots,
-        offsets.exponents,
-    )
+    found, _, slopes, roots, exponents = offsets
     bits = found.view(np.int64)
     for i in range(size):
         found[i] = abs(slopes[i]) + roots[i]

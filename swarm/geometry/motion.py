@@ -64,7 +64,10 @@ class Motion:
 def _evaluate_places(
     breaks: Floats1, coefficients: Floats3, times: Floats1, places: Floats2
 ) -> None:
-    """Write positions (q, 3 n) at times (q,), of polynomials (k, 6, 3 n)."""
+    """Write positions (q, 3 n) at times (q,), of polynomials (k, 6, 3 n).
+
+    As :func:`place_in_piece`; flat rows are vectors for the processor.
+    """
     for q in range(len(times)):
         piece, u, _ = find_piece(breaks, times[q])
         c = coefficients[piece]

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.geometry.catenary_kernel import solve_catenary
+from swarm.geometry.catenary_kernel import LEAST_HALF_ANGLE, solve_catenary
 from swarm.geometry.catenary_points import (
     Arcs,
     Offsets,
@@ -19,9 +19,6 @@ from swarm.signatures import Floats1, Floats2, Floats3, Floats4, Ints1, contiguo
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
-
-_SMALLEST_HALF_ANGLE = 1e-6
-"""At this half angle a strand sags by a quarter of a millionth of its span."""
 
 
 class Held(NamedTuple):
@@ -102,7 +99,7 @@ def _solve(ends: Floats, held: Held, number: int, arcs: Arcs, vectors: Vectors, 
     moment, strand = divmod(number, len(held.segments))
     first = held.segments[strand]
     start, end, length = ends[moment, first], ends[moment, first + 1], held.lengths[strand]
-    solved = solve_catenary(start, end, length, _SMALLEST_HALF_ANGLE)
+    solved = solve_catenary(start, end, length, LEAST_HALF_ANGLE)
     arcs.length[q], arcs.parameter[q], arcs.slope[q] = length, solved.parameter, solved.slope
     along = solved.parameter / solved.span
     for axis in range(3):

@@ -4,8 +4,6 @@ import importlib
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
 
 from threadpoolctl import threadpool_limits
 
@@ -27,7 +25,7 @@ from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower
 from swarm.planner.repairs import Kept, Unfinished, least_short, repair, slowed_for_budget
 from swarm.planning import Plan
 from swarm.planning.candidates import candidates
-from swarm.threads import side_by_side
+from swarm.threads import both
 
 Progress = Callable[[str, float], None]
 
@@ -265,8 +263,4 @@ def _certified(paced: PacedPlan, progress: Progress | None) -> PlanningResult:
 
 def _measured(plan: Plan, progress: Progress | None) -> MeasuredClearances:
     """Return the measured clearances of a plan, and have lost setpoints certified meanwhile."""
-    loss = partial(certify_stream_loss, plan)
-    tasks: tuple[Callable[[], Any], ...] = partial(measure_clearances, plan, progress), loss
-    measured: MeasuredClearances
-    measured, _ = side_by_side(lambda task: task(), tasks)
-    return measured
+    return both(lambda: measure_clearances(plan, progress), lambda: certify_stream_loss(plan))[0]

@@ -1,15 +1,12 @@
 """Where the clearance budget of a plan is short: the quickest part of it first."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
 
 from swarm.certification.clearances import Moment, violations
 from swarm.certification.smallest_budgets import ShortBudget, short_moments
 from swarm.certification.swing_tube import begin_swings, swing_after_urgent_stops, swing_tube
 from swarm.planning import Plan
-from swarm.threads import side_by_side
+from swarm.threads import both
 
 
 @dataclass(frozen=True)
@@ -45,9 +42,7 @@ def checked_clearances(plan: Plan) -> tuple[Moment, ...]:
     """
     if _accepted(plan) or plan.mission.fold.certifies_swing:
         return violations(plan)
-    tasks: tuple[Callable[[], Any], ...] = partial(violations, plan), partial(begin_swings, plan)
-    failures, _ = side_by_side(lambda task: task(), tasks)
-    return tuple(failures)
+    return both(lambda: violations(plan), lambda: begin_swings(plan))[0]
 
 
 def budgets_after_urgent_stops(plan: Plan) -> ShortBudgets:
