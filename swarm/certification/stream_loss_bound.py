@@ -87,14 +87,19 @@ class Overrun:
         largest: Floats = found + ((end - start) / _SAMPLES)[:, None]
         return largest
 
-    def largest_advance(self, vehicle: Ints, coast: Floats, advances: Floats) -> Floats:
-        """Return the largest advance of the team when a vehicle has coasted for ``coast``.
+    def largest_advance(
+        self, lost: tuple[Floats, Floats], vehicle: Ints, coast: Floats, advances: Floats
+    ) -> Floats:
+        """Return bounds (m,) of the team's advance when a vehicle has coasted for up to ``coast``.
 
-        ``advances`` (m, r) are the bounds for each of the m states at _RATES.
+        The setpoints were ``lost`` between these times (m,). ``advances`` (m, r) are bounds for
+        the whole intervals that contain them, at _RATES: close ones where the times are far apart.
         """
-        rate = coast / self.coast_time[vehicle]
+        (first, last), rate = lost, coast / self.coast_time[vehicle]
         stopped = rate * (self.coast_time[vehicle] + self.braking_time)
-        return np.maximum(at_rate(advances, rate), stopped)
+        # a stop that begins earlier ends no later
+        least = np.minimum(at_rate(advances, rate), self.advance(last, rate) + (last - first))
+        return np.maximum(least, stopped)
 
 
 def at_rate(advances: Floats, rate: Floats) -> Floats:
@@ -199,10 +204,12 @@ class StreamLossBound:
     def _possible(self, boxes: Boxes, advances: Floats) -> Flags:
         """Boxes with possible states: the team neither goes back nor advances too far."""
         case, interval = np.divmod(boxes.group, len(advances))
-        (_, coast, advance), (_, coast_half, advance_half) = boxes.middle.T, boxes.half.T
+        time, coast, advance = boxes.middle.T
+        time_half, coast_half, advance_half = boxes.half.T
         longest = self._overrun.largest_advance(
-            np.maximum(case - 1, 0), coast + coast_half, advances[interval]
-        )
+            (time - time_half, time + time_half), np.maximum(case - 1, 0), coast + coast_half,
+            advances[interval],
+        )  # fmt: skip
         behind = advance + advance_half < coast - coast_half
         beyond = advance - advance_half > longest
         possible: Flags = ~((case > 0) & (behind | beyond))
@@ -211,8 +218,10 @@ class StreamLossBound:
     def _reached(self, boxes: Boxes, advances: Floats) -> Flags:
         """Boxes whose middle is a possible state."""
         case, interval = np.divmod(boxes.group, len(advances))
-        coast, advance = boxes.middle[:, 1], boxes.middle[:, 2]
-        longest = self._overrun.largest_advance(np.maximum(case - 1, 0), coast, advances[interval])
+        time, coast, advance = boxes.middle.T
+        longest = self._overrun.largest_advance(
+            (time, time), np.maximum(case - 1, 0), coast, advances[interval]
+        )
         reached: Flags = (case == 0) | ((advance >= coast) & (advance <= longest))
         return reached
 

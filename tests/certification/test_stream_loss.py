@@ -98,6 +98,27 @@ def test_a_plan_without_margin_at_the_slowest_rate_gets_a_warning():
     assert taut.worst.margin <= 0.985 * LENGTH - 3.59 + 1e-9
 
 
+def test_the_largest_advance_after_a_loss_contains_those_of_all_moments_and_rates():
+    plan = small_plan().plan
+    overrun = StreamLossModel((0.5,), 0.7).overrun(plan)
+    fold = plan.phase("fold")
+    rng = np.random.default_rng(5)
+    count = 400
+    start = np.arange(fold.start, fold.end - 0.5, 0.5)
+    which = rng.integers(0, len(start), count)
+    advances = overrun.largest_advances(start, start + 0.5)[which]
+    first, last = np.sort(start[which] + 0.5 * rng.random((2, count)), axis=0)
+    time, rate = first + rng.random(count) * (last - first), rng.random(count)
+    vehicle = rng.integers(0, plan.vehicles, count)
+    coast = rate * overrun.coast_time[vehicle]
+    stopped = coast + rate * overrun.braking_time
+    exact = np.maximum(overrun.advance(time, rate), stopped)
+    within = overrun.largest_advance((first, last), vehicle, coast, advances)
+    assert (within >= exact - 1e-9).all()
+    at_once = overrun.largest_advance((time, time), vehicle, coast, advances)
+    assert at_once == pytest.approx(exact, abs=1e-9), "no slack for a moment"
+
+
 def stopping(plan, model, time, rate, elapsed):
     """Mission seconds that pass in ``elapsed`` seconds of the clock's real law, in ticks of 20 ms.
 
