@@ -211,10 +211,13 @@ def test_clearances_a_short_budget_and_jets_are_repaired_at_once() -> None:
         first = next(candidates(mission))
         paced = slowed_for_swing(timed_for_losses(first.plan))
         failures = violations(paced.plan)
-        short = {moment.check for moment in budgets_after_urgent_stops(paced.plan).moments}
+        budgets = budgets_after_urgent_stops(paced.plan)
+        short = {moment.check for moment in budgets.moments}
         failing = {moment.check for moment in failures}
         assert failing
         assert short - failing, "the budget is short of more than clearances"
+        aims = {(aim.check, aim.time) for aim in budgets.aims}
+        assert aims > {(moment.check, moment.time) for moment in budgets.moments}, "nearly short"
         repaired = _repaired_at_once(replace(first, plan=paced.plan), paced, failures)
         assert repaired is not None
         assert repaired.folding is not None
@@ -230,13 +233,13 @@ def test_a_closed_budget_counts_first_and_then_the_least_sinking() -> None:
         paced = timed_for_losses(first.plan)
         low, deep = ([Shortfall("downwash", 60.0, metres)] for metres in (0.01, 0.02))
         moment = ShortBudget("cable clearance", 60.0, 0.001, 0.1)
-        short = Kept(first, paced, ShortBudgets((moment,), complete=False), ())
-        closes = ShortBudgets((), complete=True)
+        short = Kept(first, paced, ShortBudgets((moment,), (moment,), complete=False), ())
+        closes = ShortBudgets((), (), complete=True)
         sinks, sinks_deep = Kept(first, paced, closes, low), Kept(first, paced, closes, deep)
         assert least_short([short, sinks_deep, sinks]) is sinks
         assert least_short([short]) is short
         later = Kept(first, paced, None, ())
-        near = Kept(first, paced, ShortBudgets((), complete=False), ())
+        near = Kept(first, paced, ShortBudgets((), (), complete=False), ())
         for unknown in later, near:
             found = least_short([short, sinks, unknown])
             assert found == replace(unknown, budget=closes), "the budget counts once computed"

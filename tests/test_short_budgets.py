@@ -16,9 +16,8 @@ from tests.overhand import planned_overhand
 
 
 def short(complete: bool, *metres: float) -> ShortBudgets:
-    return ShortBudgets(
-        tuple(ShortBudget("cable clearance", 30.0, each, 0.1) for each in metres), complete
-    )
+    moments = tuple(ShortBudget("cable clearance", 30.0, each, 0.1) for each in metres)
+    return ShortBudgets(moments, moments, complete)
 
 
 def with_clearance(plan: Plan, metres: float, *, accepted: bool = False) -> Plan:
@@ -47,9 +46,9 @@ def test_a_budget_is_less_short_where_only_all_of_it_shows_it_or_less_of_it(
 
 def test_a_budget_that_closes_is_computed_for_near_pairs_and_for_all_where_asked_for() -> None:
     plan = planned_overhand().plan
-    near = ShortBudgets((), complete=False)
+    near = ShortBudgets((), (), complete=False)
     assert short_budgets(plan, complete=False) == budgets_after_urgent_stops(plan) == near
-    every = ShortBudgets((), complete=True)
+    every = ShortBudgets((), (), complete=True)
     assert short_budgets(plan, complete=True) == complete_budgets(plan) == every
 
 
@@ -64,7 +63,15 @@ def test_a_budget_that_is_short_after_urgent_stops_is_not_computed_further() -> 
     assert 0.0 < found.total <= every.total + 1e-9
 
 
+def test_repairs_aim_at_moments_that_are_short_with_more_swing_too() -> None:
+    plan = planned_overhand().plan
+    found = budgets_after_urgent_stops(with_clearance(plan, plan.mission.clearance.cable + 0.25))
+    aims = {(one.check, one.time) for one in found.aims}
+    assert aims > {(one.check, one.time) for one in found.moments}
+    assert sum(one.metres for one in found.aims) > found.total
+
+
 def test_a_budget_that_is_accepted_is_not_computed() -> None:
     accepted = with_clearance(planned_overhand().plan, 1.0, accepted=True)
     for complete in False, True:
-        assert short_budgets(accepted, complete=complete) == ShortBudgets((), complete=True)
+        assert short_budgets(accepted, complete=complete) == ShortBudgets((), (), complete=True)

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from swarm.certification.air import sinkings
 from swarm.certification.clearances import Moment, violations
 from swarm.folding.schedule import Flown
+from swarm.planner.aims import RESERVE, aims, sinking, total
 from swarm.planner.pacing import (
     PacedPlan,
     exceeds_endurance,
@@ -45,17 +45,8 @@ _SLOWED, _MOST_EXCESS = 6, 2.0
 """Rounds in which a plan is slowed for its budget, and the largest excess of the swing of one: a
 rate of half."""
 
-_RESERVE = 0.01
-"""Metres that repairs for a budget aim beyond what it is short of: repairs that aim at nothing left
-over ended 3 to 9 mm short, because each also moves the moments beside it."""
-
 _NEARLY_CLOSED = 0.03
 """Metres in all up to which another repair is expected to close what a budget is short of."""
-
-_ASIDE = 3.0
-"""Metres aside for a metre less of sinking: 3 m below a vehicle of 0.2 m radius, 0.1 m aside take a
-quarter of the jet's speed, and so of 0.13 m of sinking. With 1, three repairs of the Carrick mat
-took 29 mm to 25 mm; with 3, two of them took it to 0."""
 
 _SHARES = (1.0, 0.5, 0.25)
 """Shares of what a budget is short of that are tried to be repaired at once."""
@@ -92,14 +83,13 @@ class Kept:
         return self.budget is not None and not self.short and self.budget.complete
 
     def with_budget(self) -> "Kept":
-        """Return it with its budget, of all pairs where that of near ones closes.
+        """Return it with its budget, of all pairs unless that of near ones is short.
 
         Its repairs are not tried yet where it is found to be short.
         """
         if self.short or self.closes:
             return self
-        plan = self.paced.plan
-        found = complete_budgets(plan) if self.budget else short_budgets(plan, complete=True)
+        found = complete_budgets(self.paced.plan)
         return replace(self, budget=found, shares=_SHARES if found.moments else self.shares)
 
 
@@ -114,7 +104,7 @@ class Unfinished:
     @property
     def short(self) -> float:
         """The sum of what it is short of, metres."""
-        return _total(self.shortfalls)
+        return total(self.shortfalls)
 
     def repaired(self) -> Candidate | None:
         """Return the next candidate of the folding, whose repairs are counted anew."""
@@ -192,7 +182,7 @@ def _repaired_at_once(
     if not repairable(candidate, short):
         return None
     budget = budgets_after_urgent_stops(paced.plan)
-    others = [_led_aside(one) for one in (*_short_of(budget), *_sinking(paced.plan))]
+    others = aims(paced.plan, budget)
     flown = _flown(candidate, paced)
     found = _repaired(candidate, [*short, *others], flown) if others else None
     return found or _repaired(candidate, short, flown)
@@ -249,7 +239,7 @@ def _closed_by_slowing(kept: Sequence[Kept]) -> Kept | None:
     if not closed and not best.sinking:
         return None
     paced, left = _slowed(best)
-    return None if left.moments else Kept(best.candidate, paced, left, _sinking(paced.plan))
+    return None if left.moments else Kept(best.candidate, paced, left, sinking(paced.plan))
 
 
 def _rounds(kept: Kept) -> int:
@@ -308,16 +298,10 @@ def _short_of(budget: ShortBudgets | None) -> list[Shortfall]:
     return [Shortfall(one.check, one.time, one.metres) for one in moments]
 
 
-def _led_aside(short: Shortfall, share: float = 1.0) -> Shortfall:
-    """Return what a repair aims at, for a share of what a budget is short of, or of a sinking."""
-    aside = _ASIDE if short.check == "downwash" else 1.0
-    return replace(short, metres=aside * share * (short.metres + _RESERVE))
-
-
 def least_short(kept: Sequence[Kept]) -> Kept:
     """Return the plan whose budget is short by the least, and of these with the least sinking."""
     found: list[Kept] = []
-    for one in sorted(kept, key=lambda one: _total(one.sinking)):
+    for one in sorted(kept, key=lambda one: total(one.sinking)):
         found.append(one.with_budget())
         if found[-1].closes:
             return found[-1]
@@ -335,19 +319,7 @@ def _keep(candidate: Candidate, paced: PacedPlan, before: Sequence[Kept]) -> Kep
     of_plan = complete_budgets if nearly else budgets_after_urgent_stops
     budget = of_plan(paced.plan) if not before or before[-1].short else None
     # repairs are counted anew from a plan that keeps all clearances
-    return Kept(replace(candidate, attempt=0), paced, budget, _sinking(paced.plan))
-
-
-def _sinking(plan: Plan) -> list[Shortfall]:
-    """Return where vehicles sink in the jets of others by more than they may be off."""
-    allowed = plan.mission.vehicles.tracking
-    found = sinkings(plan, allowed) if allowed else []
-    return [Shortfall("downwash", one.time, one.depth - allowed) for one in found]
-
-
-def _total(shortfalls: Sequence[Shortfall]) -> float:
-    """Return the sum: the largest does not tell one short moment from a thousand."""
-    return sum(one.metres for one in shortfalls)
+    return Kept(replace(candidate, attempt=0), paced, budget, sinking(paced.plan))
 
 
 def slowed_for_budget(kept: Kept) -> PacedPlan:
@@ -367,7 +339,7 @@ def _slowed(kept: Kept) -> tuple[PacedPlan, ShortBudgets]:
             break
         short = [(one.time, one.metres, one.swing) for one in budget.moments]
         times, metres, swing = np.array(short).T
-        excess = swing / np.maximum(swing - metres - _RESERVE, swing / _MOST_EXCESS)
+        excess = swing / np.maximum(swing - metres - RESERVE, swing / _MOST_EXCESS)
         paced = slowed_for_stops(best, times, excess)
         if exceeds_endurance(paced.plan) or _fold_time(paced.plan) > longest:
             break
@@ -388,8 +360,8 @@ def _led_apart(kept: Kept) -> tuple[Candidate | None, Kept]:
     shares = kept.shares if kept.shortfalls else ()
     flown = _flown(kept.candidate, kept.paced) if shares else None
     for number, share in enumerate(shares, start=1):
-        aims = [_led_aside(one, share) for one in kept.shortfalls]
-        found = _repaired(kept.candidate, aims, flown)
+        wanted = aims(kept.paced.plan, kept.budget, share)
+        found = _repaired(kept.candidate, wanted, flown)
         if found is not None:
             return found, replace(kept, shares=kept.shares[number:])
     return None, replace(kept, shares=())
