@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from swarm.certification.air import sinkings
+from swarm.certification.smallest_budgets import ShortBudget
 from swarm.planner.short_budgets import ShortBudgets
 from swarm.planning import Plan
 from swarm.planning.repair import Shortfall
@@ -23,9 +24,14 @@ took 29 mm to 25 mm; with 3, two of them took it to 0."""
 
 def aims(plan: Plan, budget: ShortBudgets | None, share: float = 1.0) -> list[Shortfall]:
     """Return the shortfalls for which margins grow, for a share of what repairs aim at."""
-    short = [Shortfall(one.check, one.time, one.metres) for one in (budget.aims if budget else ())]
+    short = as_shortfalls(budget.aims) if budget else []
     led = [(one, 1.0) for one in short] + [(one, _ASIDE) for one in sinking(plan, _SINKING)]
     return [replace(one, metres=aside * share * (one.metres + RESERVE)) for one, aside in led]
+
+
+def as_shortfalls(moments: Sequence[ShortBudget]) -> list[Shortfall]:
+    """Return moments at which budgets are short as shortfalls of their checks."""
+    return [Shortfall(one.check, one.time, one.metres) for one in moments]
 
 
 def sinking(plan: Plan, share: float = 1.0) -> list[Shortfall]:

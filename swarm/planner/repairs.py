@@ -7,7 +7,7 @@ import numpy as np
 
 from swarm.certification.clearances import Moment, violations
 from swarm.folding.schedule import Flown
-from swarm.planner.aims import RESERVE, aims, sinking, total
+from swarm.planner.aims import RESERVE, aims, as_shortfalls, sinking, total
 from swarm.planner.pacing import (
     PacedPlan,
     exceeds_endurance,
@@ -70,7 +70,7 @@ class Kept:
     @property
     def shortfalls(self) -> list[Shortfall]:
         """What a repair should mend."""
-        return [*_short_of(self.budget), *self.sinking]
+        return [*(as_shortfalls(self.budget.moments) if self.budget else ()), *self.sinking]
 
     @property
     def short(self) -> bool:
@@ -291,11 +291,6 @@ def _why_not(failures: Sequence[Moment]) -> tuple[str, ...]:
 
 def _shortfall(moment: Moment) -> Shortfall:
     return Shortfall(moment.check, moment.time, -moment.margin)
-
-
-def _short_of(budget: ShortBudgets | None) -> list[Shortfall]:
-    moments = budget.moments if budget else ()
-    return [Shortfall(one.check, one.time, one.metres) for one in moments]
 
 
 def least_short(kept: Sequence[Kept]) -> Kept:
