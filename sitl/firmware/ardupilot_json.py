@@ -45,16 +45,20 @@ def parse(data: bytes) -> Servos | None:
     return Servos(frame, rate, tuple(pulses))
 
 
-def answer(time: float, state: Array, measured: Array) -> bytes:
+def answer(time: float, state: Array, measured: Array, scale: tuple[float, float]) -> bytes:
     """Return the sensor values of one vehicle at ``time`` (seconds since the physics began).
 
     ``state`` is a row of `sitl.physics.rigid` (ENU, FLU), ``measured`` (3,) its specific force.
+    ``scale`` are ArduPilot's metres per true metre, east and north (`Geodesy.scale`): it turns
+    positions into degrees with its own metre (``SIM_Aircraft.cpp``), and a receiver measures true
+    degrees. Velocities are true, as a receiver's.
     """
     s = state.tolist()
     ahead, left, up = measured.tolist()
     w, x, y, z = s[6:10]
     text = _FORMAT % (
-        time, s[10], -s[11], -s[12], ahead, -left, -up, s[1], s[0], -s[2],
+        time, s[10], -s[11], -s[12], ahead, -left, -up,
+        scale[1] * s[1], scale[0] * s[0], -s[2],
         _HALF * (w + z), _HALF * (x + y), _HALF * (x - y), _HALF * (w - z),
         s[4], s[3], -s[5],
     )  # fmt: skip

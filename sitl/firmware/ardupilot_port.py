@@ -22,16 +22,19 @@ _LARGEST = 256
 class ArduPilotPort:
     """One autopilot's connection and its latest outputs; a `sitl.firmware.exchange.Port`."""
 
-    def __init__(self, row: int, instance: int) -> None:
-        """Bind the socket of the ``instance``; raises `OSError` if it is taken."""
-        self.row = row
+    def __init__(self, row: int, port: int, scale: tuple[float, float]) -> None:
+        """Bind the UDP ``port`` of loopback; raises `OSError` if it is taken.
+
+        ``scale``: as of `ardupilot_json.answer`.
+        """
+        self.row, self._scale = row, scale
         self.fresh, self.silent, self.ended = False, True, False
         self.command = np.zeros(MOTORS)
         self._pulses: tuple[int, ...] = (0,) * 16
         self._peer: tuple[str, int] | None = None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        self._socket.bind(("127.0.0.1", ardupilot_json.PORT + ardupilot_json.PORT_STEP * instance))
+        self._socket.bind(("127.0.0.1", port))
 
     def fileno(self) -> int:
         """Return the descriptor to wait at."""
@@ -53,7 +56,8 @@ class ArduPilotPort:
     def answer(self, at: float, state: Array, measured: Array) -> None:
         """Answer the latest outputs with the vehicle's state at ``at``, seconds."""
         if self.fresh and self._peer is not None:
-            self._socket.sendto(ardupilot_json.answer(at, state, measured), self._peer)
+            packet = ardupilot_json.answer(at, state, measured, self._scale)
+            self._socket.sendto(packet, self._peer)
             self.fresh = False
 
     def end(self) -> None:

@@ -8,7 +8,9 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal, NamedTuple
 
+from sitl.firmware import ardupilot_json
 from sitl.firmware import positioning as sources
 from sitl.firmware.positioning import Positioning
 from sitl.world import Capture, Origin
@@ -68,6 +70,8 @@ _PARAMETERS: dict[str, float] = {
 }
 _GROUND = "127.0.0.1:14550"
 """Where ground stations listen."""
+_RADIO = 5501
+"""UDP port of instance 0's radio; ArduPilot opens it on all interfaces."""
 _GRIPPER: dict[str, float] = {"GRIP_ENABLE": 1, "GRIP_TYPE": 1, "SERVO9_FUNCTION": 28}
 """A gripper on output 9."""
 
@@ -77,6 +81,7 @@ class Start:
     """What one process is started with.
 
     ``target`` is the ground station's UDP address; None: that of the autopilot's own simulator.
+    ``radio``: a pilot's transmitter is switched on.
     """
 
     binary: Path
@@ -87,40 +92,70 @@ class Start:
     gripper: bool
     parameters: Mapping[str, float]
     target: str | None
+    radio: bool = False
     positioning: Positioning = "rtk"
     capture: Capture = field(default_factory=Capture)
 
+    @property
+    def physics(self) -> int:
+        """The UDP port on loopback of an ArduPilot's physics."""
+        return ardupilot_json.PORT + ardupilot_json.PORT_STEP * self.instance
+
 
 def command(start: Start, origin: Origin) -> list[str]:
-    """Return the command line of one autopilot; its home is the origin of the world."""
+    """Return the command line of one autopilot; its home is the origin of the world.
+
+    ArduPilot listens for more ground stations and for a radio on all interfaces. Here it has one
+    serial port, and without ``radio`` its radio has the port of the physics, which is taken.
+    """
     home = f"{origin.latitude:.7f},{origin.longitude:.7f},{origin.altitude:.2f},{start.heading:.1f}"
     return [
         str(start.binary), "--model", "JSON:127.0.0.1", f"-I{start.instance}",
         "--sysid", str(start.system), "--home", home, "--speedup", "1",
-        "--serial0", f"udpclient:{start.target or _GROUND}", "--defaults", "defaults.parm",
+        "--serial0", f"udpclient:{start.target or _GROUND}", "--serial1", "none:",
+        "--serial2", "none:", "--rc-in-port", str(_radio(start) if start.radio else start.physics),
+        "--defaults", "defaults.parm",
     ]  # fmt: skip
+
+
+def _radio(start: Start) -> int:
+    return _RADIO + ardupilot_json.PORT_STEP * start.instance
 
 
 def parameters(start: Start) -> str:
     """Return the text of the file of default parameters."""
     values = _PARAMETERS | sources.parameters("ardupilot", start.positioning, start.capture)
     values |= (_GRIPPER if start.gripper else {}) | dict(start.parameters)
+    if not start.radio:
+        values["FS_THR_ENABLE"] = 0  # otherwise it does not arm without a radio
     return "".join(f"{name} {value:g}\n" for name, value in values.items())
+
+
+class Need(NamedTuple):
+    """A port that must be free; without ``host`` the process opens it on all interfaces."""
+
+    protocol: Literal["TCP", "UDP"]
+    port: int
+    host: str = ""
 
 
 @dataclass(frozen=True)
 class Launch:
-    """One process: its command, its folder, the files in it, variables beside the present ones."""
+    """One process: its command, folder, files, variables beside the present ones, and ports."""
 
     command: Sequence[str]
     folder: Path
     files: Mapping[str, str]
+    needs: Sequence[Need]
     environment: Mapping[str, str] = field(default_factory=dict)
 
 
 def launch(start: Start, origin: Origin) -> Launch:
     """Return the process of one ArduPilot."""
-    return Launch(command(start, origin), start.folder, {"defaults.parm": parameters(start)})
+    needs = [Need("UDP", start.physics, "127.0.0.1")]
+    if start.radio:
+        needs.append(Need("UDP", _radio(start)))
+    return Launch(command(start, origin), start.folder, {"defaults.parm": parameters(start)}, needs)
 
 
 class Processes:

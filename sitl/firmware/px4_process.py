@@ -3,14 +3,16 @@
 import math
 import os
 
-from sitl.firmware import positioning
-from sitl.firmware.process import Launch, Start
+from sitl.firmware import positioning, px4_hil
+from sitl.firmware.process import Launch, Need, Start
 from sitl.firmware.selection import PX4_PROGRAM
 
 _AIRFRAME = "10016"
 """PX4's quadrotor X whose physics come through the simulator link (``none_iris``)."""
 _LOCAL = 14580
 """UDP port of instance 0's link to a ground station; instance i uses the i-th after it."""
+_OWN = (18570, _LOCAL, 14280, 13030)
+"""UDP ports of instance 0's links by its own startup script."""
 
 _PARAMETERS: dict[str, float] = {
     "IMU_INTEG_RATE": 200,  # the rate of the sensor values
@@ -61,6 +63,10 @@ def launch(start: Start, radius: float) -> Launch:
         [str(build / PX4_PROGRAM), "-d", "-i", str(instance), str(build / "etc")],
         start.folder,
         {"px4-rc.mavlink": _links(start)},
+        [
+            Need("TCP", px4_hil.PORT + instance, "127.0.0.1"),
+            *(Need("UDP", one + instance) for one in (_OWN if start.target is None else [_LOCAL])),
+        ],
         {
             "PX4_SIM_MODEL": "none_iris",
             "PX4_SYS_AUTOSTART": _AIRFRAME,

@@ -1,10 +1,11 @@
 """Start and end real autopilots together with the world that is their physics."""
 
 import contextlib
-import dataclasses
+import errno
 import math
+import socket
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from sitl.firmware import process, px4_process
 from sitl.firmware.ardupilot_port import ArduPilotPort
 from sitl.firmware.exchange import Exchange, Port
 from sitl.firmware.positioning import Positioning
-from sitl.firmware.process import Launch, Processes, Start
+from sitl.firmware.process import Launch, Need, Processes, Start
 from sitl.firmware.px4_port import Px4Port, connect_all
 from sitl.firmware.selection import Firmware, FirmwareError
 from sitl.firmware.sensors import SensorFaults
@@ -36,7 +37,8 @@ def flying(
 
     They send to the UDP address ``target``, without one as in the autopilots' own simulators.
     ``folder`` keeps their parameters and logs; without it they are deleted. Yields None without any
-    firmware. Raises `OSError` for sockets and files, `FirmwareError` if a PX4 does not connect.
+    firmware. Raises `OSError` for sockets and files, `FirmwareError` if ports are taken or a PX4
+    does not connect.
     """
     if not firmware or emulator.outside is None:
         yield None
@@ -45,45 +47,66 @@ def flying(
         if folder is None:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="firmware")))
         ports: list[Port] = []
-        launches = []
         flown = [one for one in emulator.vehicles if one.system in firmware]
-        for row, vehicle in enumerate(flown):
-            kind = firmware[vehicle.system].kind
-            # PX4 derives its system id from its instance
-            instance = vehicle.system - 1 if kind == "px4" else row
-            start = _start(vehicle, firmware[vehicle.system], instance, target, folder)
-            start = dataclasses.replace(
-                start, positioning=positioning, capture=emulator.world.capture
+        starts = [
+            Start(
+                binary=firmware[vehicle.system].program,
+                folder=folder / f"vehicle{vehicle.system}",
+                instance=vehicle.system - 1,  # PX4 derives its system id from it
+                system=vehicle.system,
+                heading=math.degrees(vehicle.spec.heading) % 360.0,
+                gripper=vehicle.gripper.installed,
+                parameters=vehicle.spec.parameters,
+                target=target,
+                radio=vehicle.spec.radio,
+                positioning=positioning,
+                capture=emulator.world.capture,
             )
+            for vehicle in flown
+        ]
+        launches = [_launch(emulator, *each) for each in zip(flown, starts, strict=True)]
+        _require_free(flown, launches)
+        for row, (vehicle, start) in enumerate(zip(flown, starts, strict=True)):
             port = _port(emulator, vehicle, row, start)
             stack.callback(port.close)
             ports.append(port)
-            launches.append(_launch(emulator, vehicle, start))
         processes = Processes(launches)
         stack.callback(processes.stop)
         _connect(ports, flown, processes, folder)
         yield Exchange(emulator, emulator.outside, ports, processes.ended)
 
 
-def _start(
-    vehicle: Vehicle, firmware: Firmware, instance: int, target: str | None, folder: Path
-) -> Start:
-    return Start(
-        binary=firmware.program,
-        folder=folder / f"vehicle{vehicle.system}",
-        instance=instance,
-        system=vehicle.system,
-        heading=math.degrees(vehicle.spec.heading) % 360.0,
-        gripper=vehicle.gripper.installed,
-        parameters=vehicle.spec.parameters,
-        target=target,
-    )
+def _require_free(flown: Sequence[Vehicle], launches: Sequence[Launch]) -> None:
+    """Raise `FirmwareError` with all ports that the processes need and other programs have."""
+    taken = [
+        f"{need.protocol} {need.port} (vehicle {vehicle.system})"
+        for vehicle, launch in zip(flown, launches, strict=True)
+        for need in launch.needs
+        if _taken(need)
+    ]
+    if taken:
+        raise FirmwareError(f"--firmware: other programs have the ports {', '.join(taken)}")
+
+
+def _taken(need: Need) -> bool:
+    tcp = need.protocol == "TCP"
+    with socket.socket(type=socket.SOCK_STREAM if tcp else socket.SOCK_DGRAM) as probe:
+        # as our listener has it: the connection of an earlier flight may still be closing
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, tcp)
+        try:
+            probe.bind((need.host, need.port))
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise
+            return True
+    return False
 
 
 def _port(emulator: Emulator, vehicle: Vehicle, row: int, start: Start) -> Port:
     """Open the socket of a vehicle's autopilot."""
     if vehicle.spec.autopilot == "ardupilot":
-        return ArduPilotPort(row, start.instance)
+        scale = emulator.environment.geodesy.scale(vehicle.spec.autopilot)
+        return ArduPilotPort(row, start.physics, scale)
     rng = np.random.default_rng([emulator.world.seed, vehicle.system])
     receiver = start.positioning != "mocap"
     geodesy, faults = emulator.environment.geodesy, _faults_of(vehicle)

@@ -40,10 +40,10 @@ class Geodesy:
     def scale(self, autopilot: str) -> tuple[float, float]:
         """Return an autopilot's local metres per true metre, east and north.
 
-        PX4 projects on a sphere of 6 371 000 m (``lib/geo``), ArduPilot uses 111 318.845 m per
-        degree of latitude (``Location``'s scaling factor).
+        PX4 projects on a sphere of 6 371 000 m (``lib/geo``), ArduPilot on one of 6 378 100 m
+        (``AP_Math/definitions.h``).
         """
-        degree = math.radians(1) * 6_371_000.0 if autopilot == "px4" else 111_318.845
+        degree = math.radians(1) * (6_371_000.0 if autopilot == "px4" else 6_378_100.0)
         shrink = math.cos(math.radians(self.latitude))
         return degree * shrink / self.east, degree / self.north
 

@@ -5,7 +5,7 @@ projects latitude and longitude to metres by its own formula, and flies setpoint
 
 - PX4: azimuthal equidistant on a sphere of 6 371 000 m (its ``MapProjection``);
 - ArduPilot: degrees times a constant, longitudes scaled by the cosine of the latitude
-  (its ``Location``, sphere of 6 378 137 m).
+  (its ``Location``, sphere of 6 378 100 m).
 
 On WGS 84 their metre differs from a metre by up to 0.6 %, which is centimetres over the extent of a
 team. So pymap3d transforms mission points to geodetic coordinates, and the autopilot's formula
@@ -157,7 +157,7 @@ def _project(
     east_angle = math.radians((longitude - origin.longitude + 180.0) % 360.0 - 180.0)
     if autopilot == "ardupilot":
         middle = math.radians((latitude + origin.latitude) / 2.0)
-        return 6_378_137.0 * north_angle, 6_378_137.0 * east_angle * math.cos(middle)
+        return 6_378_100.0 * north_angle, 6_378_100.0 * east_angle * math.cos(middle)
     at, start = math.radians(latitude), math.radians(origin.latitude)
     cosine = math.sin(start) * math.sin(at) + math.cos(start) * math.cos(at) * math.cos(east_angle)
     angle = math.acos(min(max(cosine, -1.0), 1.0))

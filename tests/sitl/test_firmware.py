@@ -1,13 +1,18 @@
 """Which vehicles fly with real firmware, and what one does in our world, where one is given."""
 
+import contextlib
+import socket
 import stat
 
 import pytest
 
 from sitl.__main__ import main
+from sitl.emulator import Emulator
 from sitl.firmware.positioning import parameters
+from sitl.firmware.process import Start, launch
 from sitl.firmware.selection import Firmware, FirmwareError, assign, check_positioning, parse
-from sitl.world import CableSpec, Capture, default_world
+from sitl.firmware.team import flying
+from sitl.world import CableSpec, Capture, Origin, default_world
 
 
 @pytest.fixture
@@ -66,6 +71,67 @@ def test_a_px4_that_ends_at_once_is_named(tmp_path, capsys):
         f"PX4 of vehicle 1 did not connect to its simulator; its output is in {log}\n"
     )
     assert log.read_text() == "no airframe\n"
+
+
+@pytest.mark.parametrize(
+    ("kind", "occupied", "radio", "named"),
+    [
+        ("ardupilot", [("udp", 11012)], False, "UDP 11012 (vehicle 202)"),
+        ("ardupilot", [("udp", 7501), ("udp", 7511)], False, None),
+        ("ardupilot", [("udp", 7511)], True, "UDP 7511 (vehicle 202)"),
+        (
+            "px4",
+            [("udp", 14780), ("tcp", 4760), ("tcp", 4761)],
+            False,
+            "TCP 4760 (vehicle 201), UDP 14780 (vehicle 201), TCP 4761 (vehicle 202)",
+        ),
+    ],
+)
+def test_ports_of_other_programs_are_named_before_anything_starts(
+    kind, occupied, radio, named, tmp_path
+):
+    program = tmp_path / "bin" / "px4"
+    program.parent.mkdir()
+    program.write_text("#!/bin/sh\n")
+    program.chmod(program.stat().st_mode | stat.S_IXUSR)
+    world = default_world(2, [kind])
+    vehicles = [
+        one.model_copy(update={"id": 200 + one.id, "radio": radio}) for one in world.vehicles
+    ]
+    world = world.model_copy(update={"vehicles": vehicles})
+    firmware = assign(parse(f"{kind}={tmp_path if kind == 'px4' else program}"), world)
+    with contextlib.ExitStack() as stack:
+        for protocol, port in occupied:
+            if protocol == "tcp":
+                stack.enter_context(socket.create_server(("127.0.0.1", port)))
+            else:
+                one = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+                one.bind(("127.0.0.1", port))
+        started = flying(
+            Emulator(world, outside=[201, 202]), firmware, "127.0.0.1:9", tmp_path / "logs"
+        )
+        if named is None:
+            with started:
+                return
+        with pytest.raises(FirmwareError) as caught, started:
+            pass
+    assert str(caught.value) == f"--firmware: other programs have the ports {named}"
+    assert not (tmp_path / "logs").exists()
+
+
+def test_an_arducopter_listens_on_loopback_alone(program, tmp_path):
+    def start(*, radio):
+        return Start(program, tmp_path, 3, 4, 0.0, False, {"FS_THR_ENABLE": 3}, None, radio)
+
+    alone = launch(start(radio=False), Origin())
+    line = " ".join(alone.command)
+    assert "--serial1 none: --serial2 none: --rc-in-port 9032" in line
+    assert alone.needs == [("UDP", 9032, "127.0.0.1")]
+    assert "FS_THR_ENABLE 0\n" in alone.files["defaults.parm"]
+    piloted = launch(start(radio=True), Origin())
+    assert "--rc-in-port 5531" in " ".join(piloted.command)
+    assert piloted.needs[1:] == [("UDP", 5531, "")]
+    assert "FS_THR_ENABLE 3\n" in piloted.files["defaults.parm"]
 
 
 def test_teams_of_both_autopilots_are_in_the_order_of_the_parts(program, tmp_path):

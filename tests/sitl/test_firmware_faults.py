@@ -66,11 +66,11 @@ def test_without_a_motor_three_give_their_thrust_until_the_fault_ends():
 
 def test_a_process_that_has_ended_stops_the_motors():
     emulator = outside("ardupilot")
-    port = ArduPilotPort(0, INSTANCE)
+    number = ardupilot_json.PORT + ardupilot_json.PORT_STEP * INSTANCE
+    port = ArduPilotPort(0, number, (1.0, 1.0))
     gone = []
     exchange = Exchange(emulator, emulator.outside, [port], lambda: gone)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
-        number = ardupilot_json.PORT + ardupilot_json.PORT_STEP * INSTANCE
         packet = struct.pack("<HHI16H", 18458, 400, 1, *([2000] * 16))
         autopilot.sendto(packet, ("127.0.0.1", number))
         port.receive()

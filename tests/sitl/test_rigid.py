@@ -156,11 +156,11 @@ def test_answers_are_in_ned_and_frd(angles):
     state = flying(turn)
     state[0, :6] = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0
     state[0, 10:13] = 0.1, 0.2, 0.3
-    text = ardupilot_json.answer(12.5, state[0], np.array([7.0, 8.0, 9.0]))
+    text = ardupilot_json.answer(12.5, state[0], np.array([7.0, 8.0, 9.0]), (1.5, 0.5))
     assert text[:1] == text[-1:] == b"\n"
     sent = json.loads(text)
     assert sent["timestamp"] == 12.5
-    assert sent["position"] == [2.0, 1.0, -3.0]
+    assert sent["position"] == [1.0, 1.5, -3.0]
     assert sent["velocity"] == [5.0, 4.0, -6.0]
     assert sent["imu"] == {"gyro": [0.1, -0.2, -0.3], "accel_body": [7.0, -8.0, -9.0]}
     w, x, y, z = sent["quaternion"]
