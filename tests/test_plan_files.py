@@ -6,9 +6,11 @@ import zipfile
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 
 from swarm.errors import InputError
+from swarm.geometry.motion import Motion
 from swarm.mission import parse_mission
 from swarm.planning import digest
 from swarm.planning.archive import plan_file, read_plan_file
@@ -62,6 +64,31 @@ def test_a_plan_is_read_from_its_file_bit_by_bit(make):
     assert again.notes == plan.notes
     assert again.path.tobytes() == plan.path.tobytes()
     assert plan_file(again) == data
+
+
+def test_times_places_and_lengths_out_of_range_are_all_named():
+    plan = sideways()
+    times, coefficients = plan.motion.times - 2.0**40, plan.motion.coefficients.copy()
+    times[1] = times[0] + 2.0**-12
+    coefficients[0, 0, 1, 2] = -3e4
+    far = replace(
+        plan, motion=Motion(times, coefficients), path=np.full((2, 3), 1e300),
+        layout=replace(plan.layout, lengths=np.full(len(plan.layout.lengths), 2e4)),
+    )  # fmt: skip
+    said = refusal(plan_file(far))
+    place = "a.plan: the plan"
+    for expected in (
+        f"{place}: motion: times: expected times within ±1e+06 s, got -1.09951e+12 s",
+        f"{place}: motion: vehicle 2: expected at most ±10000 m, got 30000 m",
+        f"{place}: layout.lengths: segment 1: expected a length > 0 and <= 10000 in metres",
+        f"{place}: path: expected coordinates within ±10000 m, got 1e+300 m",
+        f"{place}: gates: expected -1.09951e+12 to",
+    ):
+        assert expected in said
+    short = times + 2.0**40
+    short[1] = short[0] + 2.0**-14
+    said = refusal(plan_file(replace(plan, motion=Motion(short, plan.motion.coefficients))))
+    assert said.startswith(f"{place}: motion: times: expected 0.0001 s or more between times")
 
 
 def test_truncated_and_changed_files_are_refused():

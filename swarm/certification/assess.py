@@ -49,8 +49,8 @@ _MODEL_END = {
     "the knot are outside the model, in which then only distances of vehicles are certified",
     "unfold": "through the hold and back to the floor; the shape of slack cable on the floor is "
     "outside the model",
-    "hold": "through the hold; in the common vertical descent all distances stay the same until "
-    "the cable touches the floor, and the contact of strands there is outside the model",
+    "hold": "through the hold and the common vertical descent until the cable touches the floor; "
+    "the contact of strands there is outside the model",
 }
 """The end of the cable model, for each finish."""
 

@@ -24,6 +24,10 @@ CUT = 0.5
 """Share of the largest uncertainty from which a coordinate is cut: coordinates that matter about
 as much are cut in the same round."""
 
+ROUNDING = 1e-9
+"""Seconds by which intervals of time are wider than their boxes: more than the rounding of times up
+to :data:`swarm.planning.ranges.LATEST`, so that the parts of a box leave no gap."""
+
 _BATCH = 2**17
 """Boxes that are evaluated together, which bounds the memory."""
 
@@ -56,10 +60,10 @@ class Boxes:
         return BoxArrays(*arrays, self.enough)
 
     def instants(self) -> tuple[Floats, Floats, Ints]:
-        """Return the distinct middles of the first coordinate, their half widths, and the index of
+        """Return the distinct middles of time, the half widths of their intervals, and the index of
         each box's."""
         time, first, index = np.unique(self.middle[:, 0], return_index=True, return_inverse=True)
-        return time, self.half[first, 0], index
+        return time, self.half[first, 0] + ROUNDING, index
 
 
 class BoxArrays(NamedTuple):
@@ -149,10 +153,13 @@ def search(
 def _evaluated(evaluate: Evaluator, boxes: Boxes) -> Enclosure:
     """Enclose values on boxes; the bound of a box holds in its parts, too.
 
-    A value that is not a number has the bound −∞.
+    A value that is not a number has the bound −∞, and so has a box whose halves are too narrow to
+    have middles of their own: they would leave gaps.
     """
     found = _in_batches(evaluate, boxes)
     unknown = np.isnan(found.low) | np.isnan(found.high)
+    closed = (boxes.half > 0.0) & (0.5 * boxes.half <= np.spacing(np.abs(boxes.middle)))
+    unknown |= closed.any(axis=1)
     low = np.where(unknown, -np.inf, np.maximum(found.low, boxes.known))
     high = np.where(unknown, -np.inf, np.maximum(found.high, low))
     doubts = np.where(np.isnan(found.doubts), np.inf, found.doubts)

@@ -14,9 +14,6 @@ from swarm.planning.phase_order import DeclaredCable, declared_cable, phase_orde
 
 Spans = list[tuple[float, float]]
 
-_SAME = 1e-6
-"""Seconds by which equal times may differ: the resolution of times in motion files."""
-
 
 @dataclass(frozen=True)
 class CableSpans:
@@ -42,9 +39,14 @@ class CableSpans:
         return merge([*self.dragged, *self.lifting])
 
     @property
+    def suspended(self) -> Spans:
+        """Spans in which every segment hangs free, until it touches the floor in a landing."""
+        return merge([*self.aloft, *self.landing])
+
+    @property
     def hanging(self) -> Spans:
         """Spans in which cable may hang."""
-        return merge([*self.lifting, *self.aloft, *self.landing])
+        return merge([*self.lifting, *self.suspended])
 
     @property
     def ever(self) -> Spans:
@@ -103,7 +105,7 @@ def _order_problems(plan: Plan) -> list[tuple[str, float]]:
     found: list[tuple[str, float]] = []
     clock, before = start, None
     for phase in plan.phases:
-        if not (abs(phase.start - clock) <= _SAME and phase.end >= phase.start):
+        if not (phase.start == clock and phase.end >= phase.start):
             found.append(
                 (f"{phase.name} lasts from {phase.start:g} to {phase.end:g} s, but the phase "
                  f"before it ends at {clock:g} s", clock)
@@ -112,7 +114,7 @@ def _order_problems(plan: Plan) -> list[tuple[str, float]]:
         if wrong:
             found.append((f"the order of the phases is not allowed: {wrong}", phase.start))
         clock, before = phase.end, phase.name
-    if not abs(clock - end) <= _SAME:
+    if clock != end:
         found.append((f"the phases end at {clock:g} s and the motion at {end:g} s", end))
     return found
 
@@ -147,8 +149,7 @@ def _gate_problems(
             case _:
                 continue
         never = gate.condition == "released" and order.held_until == len(plan.phases)
-        at_end = never and abs(gate.time - float(plan.motion.times[-1])) <= _SAME
-        if at_end or (not never and any(abs(gate.time - time) <= _SAME for time in allowed)):
+        if gate.time in ([float(plan.motion.times[-1])] if never else allowed):
             continue
         message = f"vehicles {what} at {gate.time:g} s; no phase that allows it ends there"
         found.append((message, gate.time))

@@ -12,12 +12,10 @@ from swarm.certification.robustness import DIRECTIONS, failure_in_wind
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.planning import Plan
 
-LIMIT_TOLERANCE = 1e-4
-"""m/s and m/s²; tolerance of the largest speeds and accelerations: a tenth of the last digit that
-findings show."""
-
-SMOOTH = (("position", "m", 1e-6), ("velocity", "m/s", 1e-3), ("acceleration", "m/s²", 0.05))
-"""Allowed jumps between pieces of the motion: rounding of motion files."""
+SMOOTH = (("position", "m", 1e-9), ("velocity", "m/s", 1e-6), ("acceleration", "m/s²", 0.05))
+"""Allowed jumps between pieces of the motion: rounding of polynomials through rows 0.1 ms apart.
+Movement bounds include the first two, limits of acceleration the second; nothing relies on the
+third."""
 
 _CONDITIONS = {
     "lying": f"{{one}} is more than {LYING:g} m above the floor while its cable must lie there",
@@ -96,7 +94,7 @@ def at_moment(severity: Severity, check: str, message: str, moment: Moment) -> F
 def smoothness_findings(plan: Plan) -> list[Finding]:
     """Return errors for jumps of position, velocity or acceleration."""
     found = []
-    jumps = BoundedMotion(plan.motion).jumps()
+    jumps = BoundedMotion(plan.motion).jumps
     for order, (quantity, unit, allowed) in enumerate(SMOOTH):
         if not jumps.size or jumps[:, order].max() <= allowed:
             continue
@@ -117,7 +115,7 @@ def limit_findings(plan: Plan) -> list[Finding]:
     reserve = f" ({vehicles.max_acceleration:g} less {vehicles.braking_acceleration:g} to brake)"
     findings = []
     for family in limits(plan):
-        failing = [m for m in moments_of(family, LIMIT_TOLERANCE) if m.margin < 0.0]
+        failing = [m for m in moments_of(family) if m.margin < 0.0]
         if not failing:
             continue
         worst = failing[0]

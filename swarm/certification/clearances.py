@@ -23,12 +23,7 @@ from swarm.certification.far_apart import FarPairs, FarVehicles
 from swarm.certification.fence import InsideFence, InsideFenceInWind
 from swarm.certification.floor_limits import BELOW, LYING, BesideRotors, DrawnOut, RigidDescent
 from swarm.certification.limits import AboveFloor, DerivativeLimit, HeightLimit, Slack
-from swarm.certification.minima import (
-    TOLERANCE,
-    Minima,
-    smallest,
-    smallest_in_boxes,
-)
+from swarm.certification.minima import Minima, smallest, smallest_in_boxes
 from swarm.certification.motion_bounds import BoundedMotion
 from swarm.certification.strand_pieces import HeldCable
 from swarm.certification.strands import StrandPairs
@@ -44,6 +39,10 @@ Progress = Callable[[str, float], None]
 
 STILL_AIR = (0.0, 0.0, -1.0)
 """Unit vector of the effective gravity without wind: down, ENU."""
+
+LIMIT_TOLERANCE = 1e-4
+"""m/s and m/s²; to which the largest speeds and accelerations are computed: a tenth of the last
+digit that findings show."""
 
 CLEARANCES = (
     "cable clearance",
@@ -146,9 +145,11 @@ def certified(plan: Plan, *, tracking: float, down: Place = STILL_AIR) -> bool:
     )
 
 
-def moments_of(family: Family, tolerance: float = TOLERANCE) -> list[Moment]:
-    """Return up to five tightest moments of a family, tightest first, to a tolerance."""
-    minima = smallest(family.evaluate, len(family.names), family.roots(), tolerance=tolerance)
+def moments_of(family: Family) -> list[Moment]:
+    """Return up to five tightest moments of a family, tightest first, to its tolerance."""
+    minima = smallest(
+        family.evaluate, len(family.names), family.roots(), tolerance=family.tolerance
+    )
     moments: list[Moment] = []
     for pair in minima.tightest():
         if family.names[pair] in (moment.between for moment in moments):
@@ -222,7 +223,7 @@ def _strands(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, .
     def distances(which: npt.NDArray[np.bool_], check: str) -> Family:
         names = [(segment_name(i), segment_name(j)) for i, j in pairs[which]]
         evaluate = StrandPairs(cable, pairs[which], parts[which], diameter, clearance.cable)
-        return Family(check, names, clearance.cable, spans.aloft, evaluate, strands=2)
+        return Family(check, names, clearance.cable, spans.suspended, evaluate, strands=2)
 
     return (
         Family("taut", _segments(plan, "its length"), 0.0, spans.hanging, Slack(cable)),
@@ -295,7 +296,7 @@ def _vehicles(plan: Plan, motion: BoundedMotion, tracking: float) -> tuple[Famil
         ),
         Family(
             "ground", _each_vehicle(plan, "the floor"), 0.0, always,
-            HeightLimit(motion, -BELOW, 1.0),
+            HeightLimit(motion, -BELOW, 1.0), tolerance=BELOW,
         ),
         Family(
             "ceiling", _each_vehicle(plan, "the ceiling"), 0.0, always,
@@ -317,7 +318,7 @@ def _bodies(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, ..
     def bodies(chosen: npt.NDArray[np.intp], check: str, required: float) -> Family:
         names = [(vehicle_name(i), segment_name(j)) for i, j in chosen]
         evaluate = VehicleStrands(cable, chosen, body, diameter, np.full(len(chosen), required))
-        return Family(check, names, required, spans.aloft, evaluate, strands=1)
+        return Family(check, names, required, spans.suspended, evaluate, strands=1)
 
     from_others = plan.mission.clearance.vehicle_cable
     far = FarVehicles(
@@ -342,9 +343,15 @@ def limits(plan: Plan) -> tuple[Family, ...]:
     names = _each_vehicle(plan, "")
     reserve = vehicles.max_acceleration - vehicles.braking_acceleration
     return (
-        Family("speed", names, 0.0, pieces, DerivativeLimit(motion, vehicles.max_speed, 1)),
-        Family("acceleration", names, 0.0, pieces, DerivativeLimit(motion, reserve, 2)),
-    )
+        Family(
+            "speed", names, 0.0, pieces, DerivativeLimit(motion, vehicles.max_speed, 1),
+            tolerance=LIMIT_TOLERANCE,
+        ),
+        Family(
+            "acceleration", names, 0.0, pieces, DerivativeLimit(motion, reserve, 2),
+            tolerance=LIMIT_TOLERANCE,
+        ),
+    )  # fmt: skip
 
 
 def _fences(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, ...]:
@@ -361,7 +368,7 @@ def _fences(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, ..
     if math.hypot(*cable.down[:2]) > 0.0:
         leaning = InsideFenceInWind(cable, fence, diameter)
         names = _segments(plan, "the fence")
-        strands = Family("fence", names, 0.0, spans.aloft, leaning, strands=1)
+        strands = Family("fence", names, 0.0, spans.suspended, leaning, strands=1)
     else:
         strands = Family("fence", _segments(plan, "the fence"), 0.0, spans.ever, upright)
     radius = np.full(len(vehicles), plan.mission.vehicles.radius)

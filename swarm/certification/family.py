@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from swarm.certification.branch_and_bound import Boxes, Evaluator
 from swarm.certification.cable_spans import Spans
-from swarm.certification.minima import failing, roots
+from swarm.certification.minima import TOLERANCE, failing, roots
 
 Flags = npt.NDArray[np.bool_]
 
@@ -22,6 +22,7 @@ class Family:
 
     ``strands`` is the number of objects of a pair that the evaluator divides into pieces. ``far``
     tells for initial boxes whether their margins are shown to be positive without a search.
+    ``tolerance`` is the difference between reported and true margins at which a search may end.
     """
 
     check: str
@@ -31,11 +32,12 @@ class Family:
     evaluate: Evaluator
     strands: int = 0
     far: Callable[[Boxes], Flags] | None = None
+    tolerance: float = TOLERANCE
 
     def failing(self) -> tuple[int, float] | None:
         """Return pair and time of a margin that is not shown to be kept, if any."""
         boxes, initial = self.doubtful()
-        return failing(self.evaluate, boxes, initial)
+        return failing(self.evaluate, boxes, initial, self.tolerance)
 
     def doubtful(self) -> tuple[Boxes, int]:
         """Return the initial boxes whose margins may be negative, and the number of all."""

@@ -17,11 +17,12 @@ LYING = 0.25
 """Metres above the floor up to which a grip point holds cable that counts as lying on it."""
 
 RIGID = 0.005
-"""Metres by which a team may change its shape while it descends with a knot: rounding of files, and
-the tolerance of the search (:data:`swarm.certification.minima.TOLERANCE`)."""
+"""Metres by which a team may change its shape in what counts as a common vertical descent. No
+distance relies on it: hanging strands are certified in the descent as in any other motion."""
 
-BELOW = 0.005
-"""Metres by which a grip point may be below the floor, for the same reasons."""
+BELOW = 1e-6
+"""Metres by which a grip point may be below the floor: the last digit of motion files. No distance
+relies on it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +86,7 @@ class BesideRotors:
 class RigidDescent:
     """Margins of a team's change of shape to RIGID while it descends; per vehicle, metres.
 
-    ``starts`` (s,) are the times at which a descent begins. Distances and strands stay as they are
-    at that time, until they touch the floor.
+    ``starts`` (s,) are the times at which a descent begins.
     """
 
     motion: BoundedMotion

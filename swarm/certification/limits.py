@@ -96,7 +96,8 @@ class HeightLimit:
 class DerivativeLimit:
     """Margins of a derivative of vehicles' positions to ``largest``; per vehicle.
 
-    ``order`` 1 limits speeds in m/s, 2 accelerations in m/s².
+    ``order`` 1 limits speeds in m/s, 2 accelerations in m/s², with those that jumps of velocity
+    hide (:attr:`.BoundedMotion.kinks`).
     """
 
     motion: BoundedMotion
@@ -110,8 +111,11 @@ class DerivativeLimit:
         change = motion.acceleration_bound if self.order == 1 else motion.jerk_bound
         bound = change(time - half, time + half)[instant, boxes.group]
         size = np.linalg.norm(state[self.order][instant, boxes.group], axis=-1)
+        if self.order == 2:
+            piece = np.searchsorted(motion.tables.joints, time, side="right")
+            size += motion.kinks[piece[instant], boxes.group]
         place = state[0][instant, boxes.group]
-        return Enclosure.over_time(self.largest - size, bound * boxes.half[:, 0], place)
+        return Enclosure.over_time(self.largest - size, bound * half[instant], place)
 
 
 @compiled

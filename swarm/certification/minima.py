@@ -134,15 +134,13 @@ def smallest_in_boxes(evaluate: Evaluator, boxes: Boxes, initial: int = 0) -> Mi
     return smallest(of_pair, len(boxes), alone, below=0.0, initial=initial)
 
 
-def holds(evaluate: Evaluator, boxes: Boxes) -> bool:
-    """Whether no margin is negative, certified; stops at the first negative one."""
-    return failing(evaluate, boxes) is None
-
-
-def failing(evaluate: Evaluator, boxes: Boxes, initial: int = 0) -> tuple[int, float] | None:
+def failing(
+    evaluate: Evaluator, boxes: Boxes, initial: int = 0, tolerance: float = TOLERANCE
+) -> tuple[int, float] | None:
     """Return pair and time of a margin that cannot be certified not to be negative, if any.
 
-    A pair without a margin in any box fails, too. ``initial`` as for :func:`smallest`.
+    A pair without a margin in any box fails, too. ``initial`` as for :func:`smallest`; margins
+    whose doubt is half the ``tolerance`` or less are not looked at more closely.
     """
     count, most = 0, _most(boxes, initial)
     counted = np.zeros(int(boxes.group.max(initial=-1)) + 1, dtype=bool)
@@ -153,7 +151,7 @@ def failing(evaluate: Evaluator, boxes: Boxes, initial: int = 0) -> tuple[int, f
         count += len(boxes)
         counted[boxes.group[found.low < np.inf]] = True
         negative = found.low < 0.0
-        narrow = reduce(np.add, found.doubts.T) < 0.5 * TOLERANCE
+        narrow = reduce(np.add, found.doubts.T) < 0.5 * tolerance
         given_up = _exhausted(boxes, found) | narrow | (count >= most)
         lost = (found.high < 0.0) | (negative & given_up)
         if lost.any():

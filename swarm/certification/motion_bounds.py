@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.branch_and_bound import ROUNDING
 from swarm.geometry.distance import norms
 from swarm.geometry.motion import Motion, find_piece, place_in_piece, speed_in_piece
 from swarm.geometry.vectors import Vector
@@ -19,12 +20,16 @@ Ints = npt.NDArray[np.intp]
 
 
 class MotionTables(NamedTuple):
-    """A motion for compiled code, its joints between pieces, and bounds of its accelerations."""
+    """A motion for compiled code, its joints between pieces, and bounds of its accelerations.
+
+    ``jumps`` (k, n, 2) are the sums of the jumps of position and velocity at the first k joints.
+    """
 
     times: Floats1
     joints: Floats1
     coefficients: Floats4
     accelerations: Floats3
+    jumps: Floats3
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,15 +42,16 @@ class BoundedMotion:
     def tables(self) -> MotionTables:
         """The motion for compiled code."""
         times, motion = self.motion.times, self.motion
-        tables = times, times[1:-1], motion.coefficients, self.accelerations
+        tables = times, times[1:-1], motion.coefficients, self.accelerations, self._jump_sums
         return MotionTables(*(contiguous(each) for each in tables))
 
     def at(self, time: Floats) -> tuple[Floats, Floats, Floats]:
         """Return positions, velocities and accelerations, each (m, n, 3), at times (m,)."""
         return self.motion.at(time)
 
+    @cached_property
     def jumps(self) -> Floats:
-        """Return the jumps (k − 1, 3, n) of position, velocity and acceleration between pieces."""
+        """The jumps (k − 1, 3, n) of position, velocity and acceleration between pieces."""
         duration = np.diff(self.motion.times)[:-1, None]
         power = np.arange(6)
         jumps = []
@@ -56,6 +62,23 @@ class BoundedMotion:
             begins = self.motion.coefficients[1:, order] * perm(order, order)
             jumps.append(np.linalg.norm(reached - begins, axis=-1))
         return np.stack(jumps, axis=1)
+
+    @property
+    def _jump_sums(self) -> Floats:
+        """Sums (k, n, 2) of the jumps of position and velocity at the first joints."""
+        sums = np.cumsum(self.jumps[:, :2], axis=0)
+        return np.moveaxis(np.concatenate([np.zeros((1, *sums.shape[1:])), sums]), 1, 2)
+
+    @cached_property
+    def kinks(self) -> Floats:
+        """Jumps of velocity at both ends of each piece over its duration (k, n), m/s².
+
+        Counted as acceleration: pieces that are short enough hide any acceleration in jumps.
+        """
+        ends = np.zeros((len(self.motion.coefficients), self.motion.coefficients.shape[2]))
+        ends[1:] += self.jumps[:, 1]
+        ends[:-1] += self.jumps[:, 1]
+        return ends / np.diff(self.motion.times)[:, None]
 
     @cached_property
     def accelerations(self) -> Floats:
@@ -101,6 +124,16 @@ class BoundedMotion:
         _bounds_between(tables, self.tables.joints, start, end, bound)
         return bound
 
+    def deviation(self, time: Floats, half: Floats) -> Floats:
+        """Return bounds (m, n) of the distance from uniform motion around times (m,), metres.
+
+        By the acceleration, and by the jumps between pieces: of position, and of velocity for as
+        long as the half width.
+        """
+        found = np.empty((len(time), self.motion.coefficients.shape[2]))
+        _deviations(self.tables, contiguous(time), contiguous(half), found)
+        return found
+
 
 @dataclass(frozen=True, eq=False)
 class TeamStates:
@@ -120,8 +153,7 @@ class TeamStates:
     def at(motion: BoundedMotion, time: Floats, half: Floats) -> "TeamStates":
         """Return the states at times (m,) with half widths (m,)."""
         position, velocity, _ = motion.at(time)
-        bound = motion.acceleration_bound(time - half, time + half)
-        return TeamStates(time, half, position, velocity, 0.5 * bound * (half * half)[:, None])
+        return TeamStates(time, half, position, velocity, motion.deviation(time, half))
 
     def drift(self, instant: Ints, vehicle: Ints, frame: Floats) -> Floats:
         """Bound the movement (b,) of grip points in a frame with velocity ``frame`` (b, 3)."""
@@ -155,7 +187,8 @@ class Grip(NamedTuple):
 
 @inner
 def instant_at(motion: MotionTables, time: float, half: float) -> Instant:
-    """Return an instant of a motion, with the interval around it."""
+    """Return an instant of a motion, with the interval around it, which covers rounded times."""
+    half += ROUNDING
     piece, since, moving = find_piece(motion.times, time)
     covering = pieces_between(motion.joints, time - half, time + half)
     return Instant(time, half, piece, since, moving, covering)
@@ -165,7 +198,6 @@ def instant_at(motion: MotionTables, time: float, half: float) -> Instant:
 def grip_at(motion: MotionTables, instant: Instant, i: int) -> Grip:
     """Return grip point i at an instant."""
     c, u, moving = motion.coefficients[instant.piece], instant.since, instant.moving
-    bound = largest_between(motion.accelerations, instant.pieces, i)
     return Grip(
         (place_in_piece(c, i, 0, u), place_in_piece(c, i, 1, u), place_in_piece(c, i, 2, u)),
         (
@@ -173,8 +205,19 @@ def grip_at(motion: MotionTables, instant: Instant, i: int) -> Grip:
             moving * speed_in_piece(c, i, 1, u),
             moving * speed_in_piece(c, i, 2, u),
         ),
-        0.5 * bound * (instant.half * instant.half),
+        _deviation(motion, instant.pieces, instant.half, i),
     )
+
+
+@inner
+def _deviation(motion: MotionTables, pieces: tuple[int, int, int], half: float, i: int) -> float:
+    """Return :meth:`BoundedMotion.deviation` of grip point i on pieces of a motion."""
+    first, last, level = pieces
+    last += (1 << level) - 1
+    bound = largest_between(motion.accelerations, pieces, i)
+    jump = motion.jumps[last, i, 0] - motion.jumps[first, i, 0]
+    kink = motion.jumps[last, i, 1] - motion.jumps[first, i, 1]
+    return float(jump + half * (kink + 0.5 * bound * half))
 
 
 @inner
@@ -192,6 +235,15 @@ def _bounds_between(
         pieces = pieces_between(joints, start[m], end[m])
         for i in range(found.shape[1]):
             found[m, i] = largest_between(tables, pieces, i)
+
+
+@compiled
+def _deviations(motion: MotionTables, time: Floats1, half: Floats1, found: Floats2) -> None:
+    """Write the deviations (m, n) of all grip points around times (m,)."""
+    for m in range(len(time)):
+        pieces = pieces_between(motion.joints, time[m] - half[m], time[m] + half[m])
+        for i in range(found.shape[1]):
+            found[m, i] = _deviation(motion, pieces, half[m], i)
 
 
 @inner

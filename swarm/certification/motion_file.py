@@ -17,23 +17,13 @@ from swarm.geometry.motion import through_states
 from swarm.mission import Mission
 from swarm.planning import Gate, KnotLayout, KnotSummary, Phase, PhaseName, Plan
 from swarm.planning.phase_order import declared_cable, phase_order_error
+from swarm.planning.ranges import LARGEST, LATEST, is_number, length_problems, time_problems
 
 Floats = npt.NDArray[np.float64]
 
 COLUMNS = ("time", "vehicle", "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "phase")
 MOST_PROBLEMS = 20
 """Errors that are reported at once: about a terminal page."""
-
-LEAST_STEP = 1e-4
-"""Smallest time in seconds between two rows of a vehicle: with six decimals, rounding of times
-becomes part of the motion below it."""
-
-LARGEST = 1e4
-"""Largest coordinate, speed, acceleration and length: beyond it, floating-point numbers are too
-coarse for a certificate."""
-
-LONGEST = 14_400.0
-"""Longest motion in seconds: four hours."""
 
 _RELEASE_TIMEOUT = 20.0
 """Seconds at the gate of the release, as in planned flights."""
@@ -106,8 +96,9 @@ def _finite(text: str | None, name: str) -> float:
         raise ValueError(f"{name}: expected a number, got {text!r}") from None
     if not math.isfinite(value):
         raise ValueError(f"{name}: expected a finite number, got {text!r}")
-    if name != "time" and abs(value) > LARGEST:
-        raise ValueError(f"{name}: expected at most ±{LARGEST:g}, got {text!r}")
+    largest = LATEST if name == "time" else LARGEST
+    if abs(value) > largest:
+        raise ValueError(f"{name}: expected at most ±{largest:g}, got {text!r}")
     return value
 
 
@@ -146,21 +137,7 @@ def _shape_problems(
         for time, row in zip(times, rows, strict=True)
         if len(row) != len(rows[0])
     ]
-    wrong += [
-        Problem(source, f"expected times to increase, got {after:g} s after {before:g} s")
-        for before, after in pairwise(times)
-        if after <= before
-    ]
-    wrong += [
-        Problem(
-            source, f"expected {LEAST_STEP:g} s or more between times, got {before} and {after}"
-        )
-        for before, after in pairwise(times)
-        if 0.0 < after - before < LEAST_STEP
-    ]
-    if times[-1] - times[0] > LONGEST:
-        lasts = times[-1] - times[0]
-        wrong.append(Problem(source, f"expected at most {LONGEST:g} s of motion, got {lasts:g} s"))
+    wrong += time_problems(times, source)
     return wrong[:MOST_PROBLEMS]
 
 
@@ -174,16 +151,9 @@ def read_lengths(text: str, source: str) -> Floats:
         values = _listed(text, source)
     else:
         values = [cells[-1].strip() for cells in csv.reader(text.splitlines()) if any(cells)]
-        if values and not _is_number(values[0]):
+        if values and not is_number(values[0]):
             values = values[1:]
-    wrong = [
-        Problem(
-            f"{source}: segment {index}",
-            f"expected a length > 0 in metres{_at_most(value)}, got {value!r}",
-        )
-        for index, value in enumerate(values, start=1)
-        if isinstance(value, bool) or not _is_number(value) or not 0.0 < float(value) <= LARGEST
-    ]
+    wrong = length_problems(values, source)
     if wrong or not values:
         raise InputError(wrong[:MOST_PROBLEMS] or [Problem(source, "expected lengths, got none")])
     return np.array([float(value) for value in values])
@@ -203,19 +173,6 @@ def _listed(text: str, source: str) -> list[Any]:
         message = "expected a list of lengths, or an object with segments or cable.segments"
         raise InputError([Problem(source, message)])
     return document
-
-
-def _at_most(value: Any) -> str:
-    too_long = not isinstance(value, bool) and _is_number(value) and float(value) > LARGEST
-    return f", at most {LARGEST:g}" if too_long else ""
-
-
-def _is_number(value: Any) -> bool:
-    try:
-        float(value)
-    except (TypeError, ValueError):
-        return False
-    return True
 
 
 def plan_of_motion(

@@ -16,7 +16,7 @@ from swarm.certification.clearances import (
     families,
 )
 from swarm.certification.family import ROOT, Family
-from swarm.certification.minima import holds, whole_strands
+from swarm.certification.minima import failing, whole_strands
 from swarm.planning import Plan
 from swarm.threads import side_by_side
 
@@ -183,7 +183,9 @@ class _Search:
         case, index = which
         family = self._families(value, case)[index]
         tight = self._failed.setdefault(which, self._tight_of(family))
-        found = not tight or holds(family.evaluate, _boxes(family, tight))
+        found = not tight or not failing(
+            family.evaluate, _boxes(family, tight), tolerance=family.tolerance
+        )
         if found:
             self._held[which] = value
         return found

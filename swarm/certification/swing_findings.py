@@ -21,6 +21,8 @@ def swing_findings(plan: Plan, tube: SwingTube | None) -> list[Finding]:
         return []
     phases = {phase.name: phase for phase in plan.phases}
     planned = tube.planned[tube.times < phases.get("hold", phases["fold"]).end]
+    if not planned.size:  # a motion shorter than a sample
+        return []
     moment, segment = np.unravel_index(np.argmax(planned), planned.shape)
     largest, time = float(planned.max()), float(tube.times[moment])
     tracking, limit = plan.mission.vehicles.tracking, plan.mission.fold.swing

@@ -25,6 +25,7 @@ from swarm.geometry.motion import through_states
 from swarm.mission import Cable as CableSection
 from swarm.mission import Mission, mission_for_knot
 from swarm.mission.validation import LARGEST_FILE, validate
+from swarm.planning.ranges import length_problems
 
 Progress = Callable[[str, float], None]
 
@@ -50,11 +51,7 @@ class Cable:
     breaking_load: float | None = None
 
     def __post_init__(self) -> None:
-        problems = [
-            Problem(f"cable: segment {number}", f"expected a length > 0 in metres, got {length!r}")
-            for number, length in enumerate(self.lengths, start=1)
-            if not (np.isfinite(length) and length > 0.0)
-        ]
+        problems = length_problems(self.lengths, "cable")
         if not len(self.lengths):
             problems = [Problem("cable", "expected the lengths of segments, got none")]
         if problems:

@@ -22,6 +22,7 @@ from swarm.mission import Mission
 from swarm.mission.validation import validate
 from swarm.planning.digest import digest
 from swarm.planning.plan import Gate, KnotSummary, Phase, Plan
+from swarm.planning.ranges import length_problems, motion_problems, place_problems
 from swarm.version import __version__
 
 READ_ERRORS: Final = (
@@ -103,9 +104,28 @@ def read_plan(
             notes=tuple(document["notes"]),
         )
         _require_shapes(plan)
+        problems = _range_problems(plan, source)
     except READ_ERRORS as error:
         raise InputError(f"{source} cannot be read: {error}") from None
+    if problems:
+        raise InputError(problems)
     return plan
+
+
+def _range_problems(plan: Plan, source: str) -> list[Problem]:
+    """Times, places and lengths of a plan that are out of range."""
+    start, end = plan.motion.times[[0, -1]].tolist()
+    return [
+        *motion_problems(plan.motion, f"{source}: motion"),
+        *length_problems(plan.layout.lengths.tolist(), f"{source}: layout.lengths"),
+        *place_problems(plan.layout.corners, f"{source}: layout.corners"),
+        *place_problems(plan.path, f"{source}: path"),
+        *(
+            Problem(f"{source}: gates", f"expected {start:g} to {end:g} s, got {gate.time:g} s")
+            for gate in plan.gates
+            if not start <= gate.time <= end
+        ),
+    ]
 
 
 def _require_shapes(plan: Plan) -> None:
@@ -136,8 +156,8 @@ def _read_motion(data: bytes) -> Motion:
         raise ValueError("the motion has a wrong shape")
     if not (np.isfinite(times).all() and np.isfinite(coefficients).all()):
         raise ValueError("the motion has numbers that are not finite")
-    if pieces < 1 or not (np.diff(times) > 0.0).all():
-        raise ValueError("the times of the motion do not increase")
+    if pieces < 1:
+        raise ValueError("the motion has no piece")
     return Motion(times, coefficients)
 
 

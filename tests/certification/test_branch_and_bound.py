@@ -8,7 +8,6 @@ from swarm.certification.minima import (
     MOST_BOXES,
     TOLERANCE,
     failing,
-    holds,
     roots,
     smallest,
     smallest_in_boxes,
@@ -85,6 +84,14 @@ def test_every_span_has_boxes_of_the_given_width():
     assert len(boxes) == 2 * (4 + 4 + 1 + 3)
 
 
+def test_boxes_that_halve_to_themselves_are_not_shown():
+    """Beside 2⁵³ s, a box and its halves have the same middle; between them lie gaps."""
+    begun = roots(1, [(2.0**53, 2.0**53 + 42.0)], 1.0)
+    flat = enclosing(-0.1, 0.1, 0.2)
+    assert failing(flat, begun) is not None
+    assert smallest(flat, 1, begun).low.tolist() == [-np.inf]
+
+
 def enclosing(low, high, doubt):
     """An evaluator with the same enclosure for every box."""
 
@@ -101,7 +108,7 @@ def test_a_search_that_does_not_converge_ends_with_its_bounds():
     found = smallest(enclosing(-0.5, 1.0, 1.0), 1, begun)
     assert found.boxes < 10 * MOST_BOXES
     assert found.low.tolist() == [-0.5]
-    assert not holds(enclosing(-0.5, 1.0, 1.0), begun)
+    assert failing(enclosing(-0.5, 1.0, 1.0), begun) is not None
 
 
 @pytest.mark.parametrize(

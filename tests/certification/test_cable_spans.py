@@ -150,6 +150,41 @@ def test_a_knot_that_descends_without_change_keeps_its_certificate():
     assert errors(assess(replace(plan, phases=phases)).findings) == {"straight down"}
 
 
+def test_a_descent_that_brings_strands_nearer_is_refused():
+    """By less than 5 mm per vehicle: strands near taut answer tenfold."""
+
+    def descending(by):
+        far, near = 4.40575 - by, 4.40575 + by
+        high = np.array([[-far, 0, 12], [far, 0, 12], [0, -near, 11.654], [0, near, 11.654]])
+        heavy = "vehicles.tracking=0.02", "vehicles.payload=3.0", "vehicles.mass=3.0"
+        heavy += ("limits.accept_negative_budget=true",)
+        begins = np.array([[-4.40575, 0, 12], [4.40575, 0, 12], [0, -4.40575, 11.654],
+                           [0, 4.40575, 11.654]])  # fmt: skip
+        down = [0.0, 0.0, 4.0]
+        motion = moving([0.0, 4.0, 16.0], [begins, begins, high - down])
+        plan = plan_of(motion, [9.0, 14.0, 9.0], *heavy, crossings=((0, 2),))
+        phases = (
+            Phase("hold", 0.0, 4.0, "aloft", False),
+            Phase("descend", 4.0, 16.0, "landing", False),
+        )
+        return errors(assess(replace(plan, phases=phases)).findings)
+
+    assert descending(0.0) == set()
+    assert descending(0.0047) == {"cable clearance"}
+
+
+def test_phases_leave_no_gap_and_gates_no_time(overhand):
+    fold, hold = overhand.phase("fold"), overhand.phase("hold")
+    phases = tuple(
+        replace(phase, end=np.nextafter(phase.end, 0.0)) if phase is fold else phase
+        for phase in overhand.phases
+    )
+    assert cable_spans(overhand).problems == ()
+    assert cable_spans(replace(overhand, phases=phases)).problems
+    late = Gate(np.nextafter(hold.end, np.inf), "released", 20.0)
+    assert cable_spans(replace(overhand, gates=(late,))).problems
+
+
 def test_rows_of_one_time_share_a_phase():
     header = "time,vehicle,x,y,z,vx,vy,vz,ax,ay,az,phase"
     rows = [

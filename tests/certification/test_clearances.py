@@ -5,10 +5,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from swarm.certification.assess import assess
 from swarm.certification.clearances import certified, tightest_moments
 from swarm.certification.compared_pairs import all_pairs, exempt_length
+from swarm.certification.motion_bounds import BoundedMotion, TeamStates
 from swarm.geometry.catenary import solve_catenaries
-from swarm.geometry.motion import concatenate, through_states
+from swarm.geometry.motion import Motion, concatenate, through_states
 from tests.certification.oracle import catenary, closest, displaced
 from tests.certification.synthetic import moving, plan_of, wandering
 
@@ -319,3 +321,41 @@ def test_the_exempt_length_is_at_most_half_of_the_shorter_segment():
         [0.0, 1.0, 0.102, 1.0],
         [0.0, 1.0, 0.125, 1.0],
     ]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_bounds_of_movement_include_the_jumps_between_pieces(seed):
+    rng = np.random.default_rng(seed)
+    smooth = wandering(rng, 3, 12, every=0.3)
+    jumping = smooth.coefficients.copy()
+    jumping[:, :2] += rng.normal(0.0, 0.05, jumping[:, :2].shape)
+    motion = Motion(smooth.times, jumping)
+    times, half = rng.uniform(*smooth.times[[0, -1]], 40), rng.uniform(0.0, 0.6, 40)
+    team = TeamStates.at(BoundedMotion(motion), times, half)
+    share = np.linspace(-1.0, 1.0, 301)
+    for k in range(len(times)):
+        inside = times[k] + half[k] * share
+        inside = inside[(inside >= smooth.times[0]) & (inside < smooth.times[-1])]
+        uniform = team.position[k] + (inside - times[k])[:, None, None] * team.velocity[k]
+        away = np.linalg.norm(motion.at(inside)[0] - uniform, axis=-1).max(axis=0)
+        assert (away <= team.deviation[k] + 1e-12).all()
+
+
+@pytest.mark.parametrize(
+    ("jump", "step", "wrong"),
+    [(1e-3, 5e-4, {"smoothness", "acceleration"}), (0.9e-6, 1e-4, {"acceleration"})],
+)
+def test_acceleration_hidden_in_jumps_of_velocity_is_counted(jump, step, wrong):
+    """Pieces of uniform motion whose speeds differ have no acceleration of their own."""
+    count = 200
+    speed = jump * np.minimum(np.arange(count), np.arange(count)[::-1])
+    coefficients = np.zeros((count, 6, 2, 3))
+    coefficients[:, 1, :, 0] = speed[:, None]
+    coefficients[:, 0, :, 0] = ((np.cumsum(speed) - speed) * step)[:, None]
+    coefficients[:, 0, :, 1] = [0.0, 2.5]
+    coefficients[:, 0, :, 2] = 5.0
+    motion = Motion(step * np.arange(count + 1.0), coefficients)
+    most = 0.5 * jump / step
+    limits = f"vehicles.max_acceleration={1.0 + most}", "vehicles.braking_acceleration=1.0"
+    found = assess(plan_of(motion, [3.0], *limits)).findings
+    assert {finding.check for finding in found if finding.severity == "error"} == wrong
