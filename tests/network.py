@@ -78,7 +78,7 @@ class Network:
     ``uplink`` and ``downlink`` say which packets get through; ``delay`` is added to each way with
     a uniform ``jitter``, so that packets may overtake each other; ``loss`` and ``duplication`` are
     shares. The conductor hears packets ``early`` seconds before it next acts, as it does on
-    sockets, where they come between its ticks.
+    sockets, where they come between its ticks. ``speed`` is virtual over real time.
     """
 
     flight_plan: FlightPlan
@@ -90,6 +90,7 @@ class Network:
     loss: float = 0.0
     duplication: float = 0.0
     early: float = 0.0
+    speed: float = 1.0
     uplink: Keep = lambda *_: True
     downlink: Keep = lambda *_: True
     events: list[Event] = field(default_factory=list)
@@ -124,7 +125,7 @@ class Network:
             if self.downlink(now, system, data):
                 self._post(now, system, data, up=False)
         self._deliver(now)
-        for outgoing in self.conductor.tick(now):
+        for outgoing in self.conductor.tick(now, now / self.speed):
             system = int(outgoing.address)  # type: ignore[call-overload]
             self.sent.append((now, system, outgoing.data))
             if self.uplink(now, system, outgoing.data):

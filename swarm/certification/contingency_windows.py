@@ -127,7 +127,7 @@ def rotors_clear(plan: Plan, position: Floats) -> Flags:
     cable = polyline(position, np.maximum(lengths, chords / _NEARLY_STRAIGHT), _PIECES)
     reach = vehicles.radius + vehicles.tracking + AROUND_ROTORS
     # Points are up to a piece apart: the middle between two is nearer than both.
-    reach += 0.5 * float(lengths.max()) / _PIECES
+    reach += 0.5 * float(lengths.max(initial=0.0)) / _PIECES
     aside = np.hypot(
         cable[:, None, :, 0] - position[:, :, None, 0],
         cable[:, None, :, 1] - position[:, :, None, 1],

@@ -119,8 +119,9 @@ class Monitor:
             ]
         step = moments[:, 1:] - moments[:, :-1]
         chord = np.sqrt(np.einsum("kij,kij->ki", step, step))
-        ratio = (chord / self._lengths).max(axis=1)
-        margin = np.minimum(margin, (MAX_CHORD_RATIO * self._lengths - chord).min(axis=1))
+        ratio = (chord / self._lengths).max(axis=1, initial=0.0)
+        slack = MAX_CHORD_RATIO * self._lengths - chord
+        margin = np.minimum(margin, slack.min(axis=1, initial=np.inf))
         strands = np.full(len(moments), np.nan)
         fits = ratio < 1.0
         if fits.any():

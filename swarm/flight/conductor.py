@@ -70,11 +70,14 @@ class Conductor(FlightView):
         """As :meth:`receive`, of bytes from any number of addresses at once, and quicker."""
         self.state.team.receive_all(link, arrived, now)
 
-    def tick(self, now: float) -> list[Outgoing]:
-        """Let time pass; return the packets to send. Called at the fleet's setpoint rate."""
+    def tick(self, now: float, real: float | None = None) -> list[Outgoing]:
+        """Let time pass; return the packets to send. Called at the fleet's setpoint rate.
+
+        ``real`` is real time in seconds where ``now`` follows a simulated world.
+        """
         flight = self.state
         moving = flight.timing.moving + min(now - flight.timing.now, LONGEST_TICK)
-        flight.timing = Timing(now, flight.timing.now, moving)
+        flight.timing = Timing(now, flight.timing.now, moving, now if real is None else real)
         self._take_reports(now)
         observe(flight)
         stage = flight.stage

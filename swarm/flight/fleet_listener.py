@@ -118,7 +118,7 @@ class FleetListener:
         """Take bytes that arrived on a link from an address; return whether they were read."""
         return self.team.receive(link, address, data, now)
 
-    def tick(self, now: float) -> list[Outgoing]:
+    def tick(self, now: float, _real: float | None = None) -> list[Outgoing]:
         """Let time pass; return the packets to send."""
         self.now = now
         for system, vehicle in self.team.vehicles.items():

@@ -54,26 +54,29 @@ class Prepared:
 class Preparation:
     """Prepares the fleet's vehicles and assigns them to pads.
 
-    ``standing`` (n, 3) are the planned places of the centres before take-off, mission ENU;
-    ``speed`` is the flight time in seconds per second of real time, in which vehicles start.
+    ``standing`` (n, 3) are the planned places of the centres before take-off, mission ENU.
     """
 
     team: Team
     fleet: Fleet
     standing: Floats
-    speed: float = 1.0
-    _began: float | None = None
+    _began: tuple[float, float] | None = None
     _enough_at: float | None = None
     _heard: list[Vehicle] = field(default_factory=list)
     _heard_at: float | None = None
     _conflict_at: float | None = None
     _samples: list[tuple[float, Floats]] = field(default_factory=list)
 
-    def tick(self, now: float) -> Prepared | Outcome | None:
-        """Continue; return None until the team is ready, or cannot be."""
+    def tick(self, now: float, real: float) -> Prepared | Outcome | None:
+        """Continue; return None until the team is ready, or cannot be.
+
+        ``real`` is real time in seconds. By it a person waits for vehicles that send nothing;
+        vehicles of a simulated world that runs slower have that world's time to become ready.
+        """
         if self._began is None:
-            self._began = now
-        late = now - self._began > self._starting(self.fleet.limits.ready)
+            self._began = now, real
+        waited = real - self._began[1]
+        late = min(waited, now - self._began[0]) > self.fleet.limits.ready
         if conflicts := self.team.conflicts():
             self._conflict_at = now if self._conflict_at is None else self._conflict_at
             if now - self._conflict_at >= GATHERING:
@@ -81,7 +84,7 @@ class Preparation:
             return None
         self._conflict_at = None
         if self._heard_at is None:
-            return self._listen(now, late=late)
+            return self._listen(now, real, waited)
         self._request(now)
         measured = np.array([vehicle.position for vehicle in self._heard])
         findings = readiness(self._heard, self.fleet, now) or self._moved(measured)
@@ -95,30 +98,26 @@ class Preparation:
             vehicle.stop_unused_streams(self._heard_at, now)
         return self._finish()
 
-    def _starting(self, seconds: float) -> float:
-        """Return the flight time in which so many seconds of real time have passed."""
-        return seconds * max(1.0, self.speed)
-
     @property
     def all_received(self) -> bool:
         """Whether every vehicle that will fly has been received."""
         return self._heard_at is not None
 
-    def _listen(self, now: float, *, late: bool) -> Outcome | None:
+    def _listen(self, now: float, real: float, waited: float) -> Outcome | None:
         """Wait for all vehicles of the fleet; for spares only SPARE_TIMEOUT."""
         vehicles = list(self.team.vehicles.values())
         heard = [v for v in vehicles if v.autopilot is not None and v.heartbeat_at > -math.inf]
         if len(heard) >= len(self.standing) and self._enough_at is None:
-            self._enough_at = now
-        timeout = self._starting(SPARE_TIMEOUT)
-        timed_out = self._enough_at is not None and now - self._enough_at > timeout
+            self._enough_at = real
+        timed_out = self._enough_at is not None and real - self._enough_at > SPARE_TIMEOUT
         if len(heard) == len(vehicles) or timed_out:
             self._heard, self._heard_at = heard, now
             for vehicle in heard:
                 request_streams(vehicle, self.fleet)
-        elif late:
-            names = ", ".join(f"system {v.system}" for v in vehicles if v not in heard)
-            return Outcome("failed", f"not received: {names}")
+        elif waited > self.fleet.limits.ready:
+            missing = [named(v, k) for k, v in enumerate(vehicles, 1) if v not in heard]
+            words = f"not received in {self.fleet.limits.ready:g} s: {', '.join(missing)}"
+            return Outcome("failed", words)
         return None
 
     def _request(self, now: float) -> None:

@@ -46,5 +46,5 @@ class Recorder:
             position=np.array([row[2] for row in samples]).reshape(-1, n, 3),
             setpoint=np.array([row[3] for row in samples]).reshape(-1, n, 3),
             phase=tuple(row[4] for row in samples),
-            stray=np.array([row[5] for row in samples]).reshape(len(samples), -1),
+            stray=np.array([row[5] for row in samples]).reshape(len(samples), n - 1),
         )

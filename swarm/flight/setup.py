@@ -32,13 +32,12 @@ class Options:
     planned rate whatever the clearances, the cable's pull and the tracking errors are; for
     comparisons in the emulator alone. ``error_limit`` in metres: tracking errors neither slow nor
     hold the clock in the phase ``hold``; beyond this error, or with too little distance between
-    vehicles, all land. ``speed`` is the flight time in seconds that passes in one of real time.
+    vehicles, all land.
     """
 
     no_cable: bool = False
     open_loop: bool = False
     error_limit: float | None = None
-    speed: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,7 +40,7 @@ def initial_state(setup: Setup, resumption: Resumption) -> FlightState:
     flight = FlightState(
         setup=setup,
         team=team,
-        preparation=Preparation(team, fleet, standing, setup.options.speed),
+        preparation=Preparation(team, fleet, standing),
         clock=MissionClock(clock_limits(plan.motion, braking)),
         guidance=guidance,
         detectors=Detectors.of(setup),

@@ -41,11 +41,13 @@ Indices = npt.NDArray[np.int64]
 @dataclass(frozen=True)
 class Timing:
     """``now`` and ``last`` are the times of this tick and of the one before; ``moving`` the seconds
-    that setpoints have advanced, in which a tick counts LONGEST_TICK at most."""
+    that setpoints have advanced, in which a tick counts LONGEST_TICK at most; ``real`` is real time
+    in seconds."""
 
     now: float = 0.0
     last: float = 0.0
     moving: float = 0.0
+    real: float = 0.0
 
     @property
     def elapsed(self) -> float:

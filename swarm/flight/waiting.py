@@ -58,13 +58,14 @@ def gate_name(flight: FlightState, gate: Gate) -> str:
 def _preparation(flight: FlightState) -> str:
     if not flight.preparation.all_received:
         silent = _of(flight, lambda vehicle: not flight.received(vehicle))
-        return f"heartbeats of vehicles {silent}" if silent else "heartbeats of all vehicles"
+        return f"heartbeats of {silent}" if silent else "heartbeats of all vehicles"
     unready = _of(flight, lambda one: bool(readiness([one], flight.setup.fleet, flight.now)))
-    return f"vehicles {unready} to be ready" if unready else "all vehicles to be ready"
+    return f"{unready} to be ready" if unready else "all vehicles to be ready"
 
 
 def _of(flight: FlightState, condition: Callable[[Vehicle], bool]) -> str:
-    return numbers([k for k, one in enumerate(flight.roster.vehicles, 1) if condition(one)])
+    which = [k for k, one in enumerate(flight.roster.vehicles, 1) if condition(one)]
+    return f"vehicle{'s' if len(which) > 1 else ''} {numbers(which)}" if which else ""
 
 
 def held(flight: FlightState) -> str | None:

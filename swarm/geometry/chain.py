@@ -54,7 +54,7 @@ def polyline(corners: ArrayLike, lengths: ArrayLike, points_per_segment: int) ->
     corners = _floats(corners)
     strands = solve_catenaries(corners[..., :-1, :], corners[..., 1:, :], lengths)
     points = strands.points(np.arange(points_per_segment) / points_per_segment)
-    merged = points.reshape(*points.shape[:-3], -1, 3)
+    merged = points.reshape(*points.shape[:-3], points.shape[-3] * points_per_segment, 3)
     last = np.broadcast_to(corners[..., -1:, :], (*merged.shape[:-2], 1, 3))
     return np.concatenate([merged, last], axis=-2)
 

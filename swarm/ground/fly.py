@@ -163,7 +163,7 @@ def _refuse_unflyable(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions
 
 
 def _conductor(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions) -> Conductor:
-    setup = Options(no_cable=options.no_cable, error_limit=options.error_limit, speed=options.speed)
+    setup = Options(no_cable=options.no_cable, error_limit=options.error_limit)
     conductor = Conductor(flight_plan, fleet, setup, left=options.left, then=options.then)
     if options.left is None:
         require_tracking(conductor.basis, fleet)

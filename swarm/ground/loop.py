@@ -39,8 +39,8 @@ class Runnable(Protocol):
     def receive(self, link: str, address: Address | None, data: bytes, now: float) -> bool:
         """Process received bytes; return whether they were read."""
 
-    def tick(self, now: float) -> list[Outgoing]:
-        """Advance to ``now``; return the packets to send."""
+    def tick(self, now: float, real: float, /) -> list[Outgoing]:
+        """Advance to ``now``, at ``real`` seconds of real time; return the packets to send."""
 
     @property
     def over(self) -> bool:
@@ -85,7 +85,7 @@ class Loop:
             earliest = deadline - _LEAD * interval
             self._receive(start, earliest, max(earliest, self._now() + _CATCH_UP * interval))
             now = (max(self._now(), deadline) - start) * self.speed
-            outgoing = conductor.tick(now)
+            outgoing = conductor.tick(now, time.monotonic())
             if self.relay is not None:
                 outgoing.extend(self.relay.to_vehicles())
             if self.mocap is not None:

@@ -36,6 +36,7 @@ class TickTasks:
     mocap: MocapBridge | None = None
     _next_snapshot: float = 0.0
     _disk_reported: bool = False
+    _phase: str = ""
     _unseen: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
@@ -67,10 +68,13 @@ class TickTasks:
             text = f"the record cannot be written: {record.problem}; the flight goes on"
             conductor.report("record", text)
         phase = conductor.phase.name if conductor.stage == "execute" else ""
+        if (entered := phase or conductor.stage) != self._phase:
+            self._phase = entered
+            conductor.report("phase", entered)
         self._report_poses(now)
         if conductor.stage in {"ready", "execute", "contingency"}:
             record.packet(self._clock.encode(now, conductor.clock.time, phase), now)
-        if conductor.stage in {"listen", "prepare"} and self.emulator is not None:
+        if conductor.stage == "prepare" and self.emulator is not None:
             ended = self.emulator.ended()
             if ended is not None:
                 conductor.give_up(ended)

@@ -25,7 +25,7 @@ from swarm.reports.formatting import (
 )
 from swarm.reports.motion_view import flown_motion
 from swarm.reports.rendering import Picture, picture, render
-from swarm.reports.strand_distances import SAMPLE_INTERVAL, smallest_strand_distances
+from swarm.reports.strand_distances import sampling_step, smallest_strand_distances
 from swarm.reports.swing_plots import draw_swing
 from swarm.reports.verdicts import flight_verdict, largest_fold_error
 from swarm.reports.wording import (
@@ -117,7 +117,7 @@ def _pictures(plan: Plan, trace: Trace) -> list[Picture]:
         title = "Swing of the cable: estimated, planned, and allowed by tube and budget"
         pictures.append(picture(figure, title, wide=True))
     aloft = np.flatnonzero(_aloft(trace))
-    sampled = aloft[:: _sampling_step(trace)]
+    sampled = aloft[:: sampling_step(trace)]
     if plan.vehicles >= 4 and len(sampled):
         figure, axes = plots.new_axes((8.0, 2.8))
         distance = smallest_strand_distances(plan, trace.position[sampled])
@@ -144,11 +144,3 @@ def _aloft(trace: Trace) -> npt.NDArray[np.bool_]:
     """Return at which instants (k,) of fold and hold every vehicle's position is reported."""
     aloft = np.isin(np.array(trace.phase, dtype=str), ["fold", "hold"])
     return aloft & np.isfinite(trace.position).all(axis=(1, 2))
-
-
-def _sampling_step(trace: Trace) -> int:
-    """Return the number of instants of the trace between two points of the sampled curves."""
-    if len(trace.time) < 2:
-        return 1
-    step = float(np.median(np.diff(trace.time)))
-    return max(1, round(SAMPLE_INTERVAL / step))

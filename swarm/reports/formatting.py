@@ -12,9 +12,9 @@ from swarm.flight.snapshot import Event
 from swarm.flight.words import numbers
 
 ROUTINE_KINDS: Final = frozenset(
-    {"discovered", "mode", "armed", "disarmed", "airborne", "landed", "done", "interval"}
+    {"discovered", "mode", "armed", "disarmed", "airborne", "landed", "done", "interval", "phase"}
 )
-"""Kinds of events of every vehicle in every flight; they are in the record, not on the screen."""
+"""Kinds of events of every flight that are in the record, but not among those on the screen."""
 
 STATUS_TEXT_KINDS: Final = frozenset({"text", "text warning", "text error"})
 """Kinds of events with a vehicle's STATUSTEXT: notices and less, warnings, errors and worse."""

@@ -369,6 +369,9 @@ def _shade_phases(axes: Axes, trace: Trace) -> None:
     names = np.array(trace.phase)
     edges = np.flatnonzero(np.append(True, names[1:] != names[:-1]))
     span = trace.time[-1] - trace.time[0]
+    # the names must lie within the axes also where no value is known
+    axes.update_datalim([(trace.time[0], 0.0), (trace.time[-1], 0.0)], updatey=False)
+    axes.autoscale_view(scaley=False)
     for k, begin in enumerate(edges):
         last = edges[k + 1] if k + 1 < len(edges) else len(names) - 1
         start, end = trace.time[begin], trace.time[last]

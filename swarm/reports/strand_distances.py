@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from swarm.flight.trace import Trace
 from swarm.geometry.distance import strand_strand
 from swarm.planning import Plan
 from swarm.reports import scene
@@ -36,3 +37,10 @@ def smallest_strand_distances(plan: Plan, grips: Floats) -> Floats:
     closest = strand_strand(shapes, np.column_stack([first, second])).distance.min(axis=1)
     surface: Floats = closest - plan.mission.cable.diameter
     return surface
+
+
+def sampling_step(trace: Trace) -> int:
+    """Return the number of instants of the trace between two points of the sampled curves."""
+    if len(trace.time) < 2:
+        return 1
+    return max(1, round(SAMPLE_INTERVAL / float(np.median(np.diff(trace.time)))))

@@ -53,12 +53,16 @@ one that stays free for the terminal's cursor."""
 RECENT_EVENTS: Final = 200
 """Events that are kept for these lines, before they are merged."""
 
+WAIT_INTERVAL: Final = 1.0
+"""Seconds between two lines of what a team on the ground waits for."""
+
 
 class FlightScreen:
     """The screen of a flight: phases, mission clock, the team, the last events, the keys.
 
     Use it as a context manager; pass every snapshot to :meth:`show` and every event to
-    :meth:`event`. It redraws five times a second; in a pipe it prints events and phases as lines.
+    :meth:`event`. It redraws five times a second; before it is entered, and in a pipe, it prints
+    events, phases, and what a team on the ground waits for as lines.
     Routine events (modes, arming, …) are not listed. Of the vehicles' texts only warnings and worse
     are shown, each once, with all vehicles that sent it. With ``keys`` the operator's keys are
     listed: where a terminal passes them on.
@@ -69,7 +73,8 @@ class FlightScreen:
         self._console = console
         self._events: deque[Event] = deque(maxlen=RECENT_EVENTS)
         self._snapshot: Snapshot | None = None
-        self._printed_phase: str | None = None
+        self._printed: tuple[str, str | None] = ("", None)
+        self._printed_at = -WAIT_INTERVAL
         self._texts = StatusTexts()
         self._live = (
             Live(
@@ -101,7 +106,7 @@ class FlightScreen:
         """Show the team as it is now."""
         self._snapshot = snapshot
         self._print_texts(self._texts.due(snapshot.time))
-        if self._live is None:
+        if not self._drawn:
             self._print_phase(snapshot)
 
     def event(self, event: Event) -> None:
@@ -122,21 +127,29 @@ class FlightScreen:
 
     def _print(self, events: Sequence[Event]) -> None:
         """Show the same event of several vehicles."""
-        if self._live is None:
+        self._events.extend(events)
+        if not self._drawn:
             others = [event.vehicle for event in events[1:] if event.vehicle is not None]
             self._console.print(_event_line(events[0], others), soft_wrap=True)
-        else:
-            self._events.extend(events)
 
     def countdown(self, seconds: int) -> None:
         """Show the remaining seconds before take-off."""
         self.event(Event(-float(seconds), "countdown", f"take-off in {seconds} s"))
 
+    @property
+    def _drawn(self) -> bool:
+        """Whether the terminal shows the screen, not lines."""
+        return self._live is not None and self._live.is_started
+
     def _print_phase(self, snapshot: Snapshot) -> None:
-        if snapshot.phase == self._printed_phase:
+        on_ground = snapshot.phase in {Stage.PREPARE, Stage.READY}
+        waits = snapshot.waiting_for if on_ground else None
+        (phase, before), since = self._printed, snapshot.time - self._printed_at
+        if phase == snapshot.phase and (waits == before or since < WAIT_INTERVAL):
             return
-        self._printed_phase = snapshot.phase
+        self._printed, self._printed_at = (snapshot.phase, waits), snapshot.time
         line = f"{clock(snapshot.time)} phase {snapshot.phase}"
+        line += f": waiting for {waits}" if waits else ""
         self._console.print(line, soft_wrap=True, highlight=False, markup=False)
 
     def drawing(self) -> RenderableType:

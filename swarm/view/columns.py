@@ -15,8 +15,8 @@ from swarm.planning import Plan
 from swarm.planning.cable_shape import planned_grip
 from swarm.reports import scene
 from swarm.reports.strand_distances import (
-    SAMPLE_INTERVAL,
     planned_strand_distances,
+    sampling_step,
     smallest_strand_distances,
 )
 from swarm.view.rerun_scene import (
@@ -146,8 +146,7 @@ def send_distances(stream: rr.RecordingStream, plan: Plan, trace: Trace) -> None
     sampled, planned = planned_strand_distances(plan)
     aloft = np.isin(np.array(trace.phase, dtype=str), ["fold", "hold"])
     aloft &= np.isfinite(trace.position).all(axis=(1, 2))
-    interval = float(np.median(np.diff(trace.time)))
-    where = np.flatnonzero(aloft)[:: max(1, round(SAMPLE_INTERVAL / interval))]
+    where = np.flatnonzero(aloft)[:: sampling_step(trace)]
     flown = smallest_strand_distances(plan, trace.position[where])
     for name, times, values in zip(
         names, (sampled, trace.mission_time[where]), (planned, flown), strict=True
@@ -200,6 +199,8 @@ def _limit(
 ) -> None:
     style = rr.SeriesLines(names=f"{name} {value:g}", colors=(255, 80, 80), widths=2.0)
     stream.log(f"plots/{entity}", style, static=True)
+    if not all(map(len, clock.values())):
+        return
     ends = {timeline: times[[0, -1]] for timeline, times in clock.items()}
     _send(stream, f"plots/{entity}", ends, rr.Scalars.columns(scalars=[value, value]))
 

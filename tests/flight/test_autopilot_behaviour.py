@@ -133,6 +133,6 @@ def test_a_team_that_wanders_as_simulated_ones_do_flies_to_the_end(monkeypatch):
 def test_programs_start_in_real_time_however_fast_flight_time_runs(speed, word):
     """After 100 s of flight time 20 s have passed at five times real time: not too late."""
     flight = network(("px4",), downlink=lambda now, *_: now > 100.0)
-    flight.conductor = Conductor(PLAN, flight.fleet, Options(no_cable=True, speed=speed))
+    flight.speed = speed
     flight.run(lambda: flight.conductor.stage == "execute", most=120.0)
     assert (flight.conductor.finished and flight.conductor.finished.word) == word

@@ -223,14 +223,18 @@ def test_a_team_whose_packets_stop_holds_and_is_landed_blind():
     assert not flight.emulator.truth().armed.any()
 
 
-def test_vehicles_that_are_never_received_are_named():
+@pytest.mark.parametrize("speed", [0.1, 1.0, 20.0])
+def test_vehicles_that_are_never_received_are_named_after_real_time(speed):
+    """A simulated world may run slower or faster: the person who waits does not."""
     fleet = emulated_fleet(3)
     limits = fleet.limits.model_copy(update={"ready": 8.0})
     fleet = fleet.model_copy(update={"limits": limits})
-    flight = Network(PLAN, fleet, downlink=lambda _now, system, _data: system == 1)
+    flight = Network(PLAN, fleet, speed=speed, downlink=lambda _now, system, _data: system == 1)
     outcome = flight.run()
     assert outcome.exit_code == 3
-    assert outcome.explanation == "not received: system 2, system 3"
+    assert outcome.explanation == "not received in 8 s: vehicle 2, vehicle 3"
+    assert flight.now / speed == pytest.approx(8.0, abs=0.6)
+    assert flight.conductor.trace().position.shape == (0, 3, 3)
 
 
 @pytest.mark.parametrize("autopilots", AUTOPILOTS[:2], ids="-".join)

@@ -65,6 +65,9 @@ def test_its_record_is_complete(flown):
     assert summary["record"] == {"dropped": 0, "problem": None}
     lines = (folder / "events.jsonl").read_text().splitlines()
     assert len(lines) == len(result.events) >= len(events)
+    phases = [row["message"] for row in map(json.loads, lines) if row["kind"] == "phase"]
+    planned = [phase.name for phase in FLIGHT_PLAN.plan.phases]
+    assert phases == ["prepare", "ready", *planned, "finished"]
     log = mavutil.mavlink_connection(str(folder / "flight.tlog"))
     systems = set()
     for _ in range(3000):

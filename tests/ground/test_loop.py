@@ -68,7 +68,7 @@ class Conductor:
         self.received += 1
         return True
 
-    def tick(self, now):
+    def tick(self, now, _real):
         self.clock.now += 5 * PACKET
         self.times.append(self.start_time + now)
         return [self.start_time + now]

@@ -165,10 +165,25 @@ def test_flight_in_a_pipe_is_plain_lines() -> None:
     ]
 
 
+def test_what_a_team_on_the_ground_waits_for_is_printed_from_the_beginning() -> None:
+    """Also on a terminal, whose screen starts behind the question to the operator."""
+    waits = {0.0: "a", 0.1: "b", 1.2: "b", 1.3: "b", 1.4: "c", 3.0: "c"}
+    for console in (plain(), screen()):
+        shown = FlightScreen(PLAN, console)
+        for time, words in waits.items():
+            one = replace(snapshot_at(PLAN, 0.0), time=time, phase="prepare", waiting_for=words)
+            shown.show(one)
+        assert [Text.from_ansi(line).plain for line in printed(console).splitlines()] == [
+            "0:00.0 phase prepare: waiting for a",
+            "0:01.2 phase prepare: waiting for b",
+            "0:03.0 phase prepare: waiting for c",
+        ]
+
+
 def test_flight_on_a_screen_shows_team_and_events() -> None:
     console = screen()
     with FlightScreen(PLAN, console) as shown:
-        shown.event(Event(40.0, "phase", "fold begins"))
+        shown.event(Event(40.0, "gate", "fold begins"))
         shown.show(snapshot_at(PLAN, 50.0))
     text = printed(console)
     assert "clock × 0.40" in text

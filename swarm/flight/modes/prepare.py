@@ -16,7 +16,7 @@ NOT_READY_TIMEOUT = 5.0
 
 def prepare(flight: FlightState) -> None:
     """Prepare the vehicles until all are ready."""
-    result = flight.preparation.tick(flight.now)
+    result = flight.preparation.tick(flight.now, flight.timing.real)
     if isinstance(result, Outcome):
         finish(flight, result.word, result.explanation)
     elif isinstance(result, Prepared):
