@@ -24,6 +24,7 @@ from tests.overhand import planned_overhand
 ROOT = Path(__file__).parent.parent
 SWARM = Path(sys.executable).parent / "swarm"
 OVERHAND = str(OVERHAND_FILE)
+FLEET = str(ROOT / "missions" / "fleets" / "px4_sitl.yaml")
 HOVER = str(ROOT / "missions" / "first-steps" / "hover.yaml")
 
 
@@ -75,6 +76,10 @@ def test_a_fleet_with_larger_errors_than_certified_is_refused(tmp_path: Path) ->
         ),
         (["fly", "3_1", "--fleet", "nosuch.yaml"], "nosuch.yaml: no such file or directory"),
         (["check", "3_1", "--clock", "clock.bin", "--hop"], "--clock: expected --fleet and --hop"),
+        (
+            ["check", "3_1", "--fleet", FLEET, "--clock", "nosuch.bin", "--hop"],
+            "nosuch.bin: expected the clock of a world that runs",
+        ),
         (["plan", "3_1", "--colour"], "--colour"),
         (["nonsense"], "No such command 'nonsense'."),
         (["plam", "3_1"], "No such command 'plam': did you mean plan?"),

@@ -45,23 +45,44 @@ def trace_of(flight_plan: CertifiedPlan, samples: int, phase: str, *, known: boo
     start, recorder = plan.phase("fold").start, Recorder()
     for k in range(samples):
         place = plan.motion.at(start + k)[0] if known else np.full((n, 3), np.nan)
-        stray = np.full(n - 1, 0.01 if known else np.nan)
+        stray = np.full(len(plan.layout.lengths), 0.01 if known else np.nan)
         recorder.sample((float(k), start + k), (place, place), phase, stray)
-    return recorder.trace(n)
+    return recorder.trace(n, len(plan.layout.lengths))
+
+
+@given(n=st.integers(1, 3), segments=st.integers(0, 2), samples=st.integers(0, 2))
+def test_a_trace_has_its_shape_whatever_there_is_of_it(n, segments, samples) -> None:
+    """Three vehicles may also fly without cable, as in a hop."""
+    recorder = Recorder()
+    for k in range(samples):
+        place = np.zeros((n, 3))
+        recorder.sample((float(k), float(k)), (place, place), "", np.zeros(segments))
+    trace = recorder.trace(n, segments)
+    assert trace.position.shape == trace.setpoint.shape == (samples, n, 3)
+    assert trace.stray.shape == (samples, segments)
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(("n", "name"), TEAMS)
-@pytest.mark.parametrize("samples", [0, 1, 2])
-@pytest.mark.parametrize(("phase", "known"), [("", True), ("fold", True), ("hold", False)])
+@pytest.mark.parametrize(
+    ("n", "name", "samples", "phase", "known"),
+    [
+        (1, "hover", 0, "", True),
+        (1, "hover", 2, "hold", False),
+        (2, "two_carry", 1, "fold", True),
+        *(
+            pytest.param(*team, samples, phase, known, marks=pytest.mark.full)
+            for team in TEAMS
+            for samples in (0, 1, 2)
+            for phase, known in (("", True), ("fold", True), ("hold", False))
+        ),
+    ],
+)
 def test_every_reader_of_a_trace_reads_a_short_one(
     n: int, name: str, samples: int, phase: str, known: bool, tmp_path: Path
 ) -> None:
     flight_plan = flown(name)
     plan, assessment = flight_plan.plan, flight_plan.assessment
     trace = trace_of(flight_plan, samples, phase, known=known)
-    assert trace.position.shape == trace.setpoint.shape == (samples, n, 3)
-    assert trace.stray.shape == (samples, n - 1)
     basis = basis_of(flight_plan, cable=n > 1)
     ended = Outcome("failed", "not received: vehicle 1")
     counted = Statistics(3.0, 0, None, {}, {}, {})

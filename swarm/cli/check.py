@@ -25,6 +25,7 @@ from swarm.ground.commissioning.check import check as check_fleet
 from swarm.ground.commissioning.logs import download_logs
 from swarm.ground.hop import HopResult, fly_hop, hop_question
 from swarm.ground.record_folder import new_check_folder
+from swarm.ground.world_clock import require_clock
 from swarm.mission.fleet import Fleet, emulated_fleet, with_tracking
 from swarm.mission.sections import LARGEST_TRACKING
 from swarm.mission.validation import LARGEST_FILE
@@ -72,6 +73,7 @@ class Options:
             problems.append(Problem("--clock", "expected --fleet and --hop"))
         if problems:
             raise InputError(problems)
+        require_clock(self.clock)
 
 
 @click.command()

@@ -30,6 +30,7 @@ from swarm.ground.fly import FlyOptions
 from swarm.ground.forward import parse_forward
 from swarm.ground.mocap import parse_url
 from swarm.ground.record_folder import control_socket, new_record_folder
+from swarm.ground.world_clock import require_clock
 from swarm.mavlink.frames import AutopilotName
 from swarm.mission import Mission
 from swarm.mission.fleet import Fleet, emulated_fleet
@@ -203,6 +204,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
     given = Options(**options)
     if given.resume is not None:
         given.refuse_with_resume()
+        require_clock(given.clock)
         folder = given.record or new_record_folder(_FLIGHTS, f"{given.resume.name}-resumed")
         resume_flight(
             context,
@@ -221,6 +223,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
     if given.mission is None:
         raise click.UsageError("Missing argument 'MISSION'.")
     refuse_option_conflicts(options, _NEEDS, [])
+    require_clock(given.clock)
     fleet = load_fleet(given.fleet) if given.fleet else None
     source = load_source(
         given.mission, given.overrides, replan=given.replan, flight=True, fleet=fleet

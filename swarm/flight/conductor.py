@@ -172,7 +172,7 @@ class Conductor(FlightView):
 
     def trace(self) -> Trace:
         """Return the flown positions so far."""
-        return self.state.recorder.trace(self.plan.vehicles)
+        return self.state.recorder.trace(self.plan.vehicles, len(self.plan.layout.lengths))
 
 
 def _leave(flight: FlightState) -> None:

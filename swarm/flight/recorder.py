@@ -37,8 +37,8 @@ class Recorder:
         phase, and the strays (n − 1,) of the strands."""
         self._samples.append((*times, *places, phase, stray))
 
-    def trace(self, n: int) -> Trace:
-        """Return the flight of n vehicles so far."""
+    def trace(self, n: int, segments: int) -> Trace:
+        """Return the flight of n vehicles with so many cable segments so far."""
         samples = self._samples
         return Trace(
             time=np.array([row[0] for row in samples]),
@@ -46,5 +46,5 @@ class Recorder:
             position=np.array([row[2] for row in samples]).reshape(-1, n, 3),
             setpoint=np.array([row[3] for row in samples]).reshape(-1, n, 3),
             phase=tuple(row[4] for row in samples),
-            stray=np.array([row[5] for row in samples]).reshape(len(samples), n - 1),
+            stray=np.array([row[5] for row in samples]).reshape(len(samples), segments),
         )

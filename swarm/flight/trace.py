@@ -17,8 +17,8 @@ class Trace:
     ``setpoint`` (k, n, 3) are grip points in ENU metres: the reported position,
     interpolated to ``time``, and the sent setpoint; NaN where not known. ``phase`` (k,) are the
     names of the plan's phases, empty outside the plan (before the start, or in a contingency).
-    ``stray`` (k, n − 1) is how far each strand was estimated from its catenary in metres, NaN where
-    it was not; (0, 0) for a trace that has no estimates, as of a .tlog.
+    ``stray`` (k, s) is how far each of s strands was estimated from its catenary in metres, NaN
+    where it was not; (0, 0) for a trace that has no estimates, as of a .tlog.
     """
 
     time: Floats

@@ -13,7 +13,7 @@ from types import FrameType
 from typing import Any
 
 from swarm import precompile
-from swarm.errors import InputError, Problem, Refused
+from swarm.errors import Refused
 from swarm.flight.adherence import adherence
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan, require_tracking
@@ -35,7 +35,7 @@ from swarm.ground.relay import Relay
 from swarm.ground.signing_key import signing_with
 from swarm.ground.sockets import Links, open_links
 from swarm.ground.tick_tasks import TickTasks
-from swarm.ground.world_clock import WorldClock
+from swarm.ground.world_clock import WorldClock, open_clock
 from swarm.jit import sealed
 from swarm.mavlink.frames import Origin
 from swarm.mission.fleet import Fleet
@@ -182,11 +182,7 @@ def _followed_clock(
     if options.world_clock is None:
         yield None
         return
-    try:
-        clock = WorldClock(options.world_clock, 1.0)
-    except (OSError, ValueError):
-        message = "expected the clock of a world that runs (swarm sitl --clock)"
-        raise InputError([Problem(str(options.world_clock), message)]) from None
+    clock = open_clock(options.world_clock)
     try:
         yield clock
     finally:

@@ -9,6 +9,8 @@ import struct
 import time
 from pathlib import Path
 
+from swarm.errors import InputError, Problem
+
 _TIME = struct.Struct("<d")
 _STEP = 0.02
 """Seconds of the world between two values in the file."""
@@ -21,6 +23,24 @@ SHORTEST_WAIT = 0.001
 def create_clock(path: Path) -> None:
     """Create the file in which the emulator puts its time; raises `OSError`."""
     path.write_bytes(_TIME.pack(0.0))
+
+
+def open_clock(path: Path) -> "WorldClock":
+    """Open the clock of a world in real time that another process simulates; close it after use.
+
+    Raises :class:`InputError` where the file is not such a clock.
+    """
+    try:
+        return WorldClock(path, 1.0)
+    except (OSError, ValueError):
+        message = "expected the clock of a world that runs (swarm sitl --clock)"
+        raise InputError([Problem(str(path), message)]) from None
+
+
+def require_clock(path: Path | None) -> None:
+    """Raise :class:`InputError` where a given file is not a world's clock."""
+    if path is not None:
+        open_clock(path).close()
 
 
 class WorldClock:

