@@ -116,7 +116,7 @@ def test_help_lists_commands_in_sections_with_an_example_each():
 @pytest.mark.parametrize(
     ("words", "offered"),
     [
-        ("f", ["failures", "fly"]),
+        ("f", ["failures", "fly", "flights"]),
         ("trials --out", ["--output"]),
         ("dry-run --cable ", ["swinging", "static"]),
         ("plan 8_2", ["8_2 (file)", "8_2", "8_20", "8_21"]),
@@ -134,7 +134,7 @@ def test_the_installed_program_answers_its_completion_script():
     said = subprocess.run(
         [PROGRAM], capture_output=True, text=True, check=True, env=os.environ | asked
     )
-    assert (said.stdout, said.stderr) == ("plain,failures\nplain,fly\n", "")
+    assert (said.stdout, said.stderr) == ("plain,failures\nplain,fly\nplain,flights\n", "")
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

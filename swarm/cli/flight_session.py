@@ -12,6 +12,7 @@ from rich.console import Console
 
 from swarm.certification.assessment import Assessment
 from swarm.cli.inputs import print_json
+from swarm.errors import InputError, Interrupted, Problem, reason
 from swarm.files import write_text
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event, Snapshot
@@ -45,13 +46,24 @@ class Displays:
 
 @contextmanager
 def displays(plan: Plan, folder: Path, view: Viewer | None, console: Console) -> Iterator[Displays]:
-    """Create the folder of the record, start Rerun's log in it, and yield the displays."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Create the folder of the record, start Rerun's log in it, and yield the displays.
+
+    Raises :class:`InputError` for a folder that cannot be created, and :class:`Interrupted` where
+    the output is closed: the flight goes on without this screen.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError([Problem(str(folder), reason(error))]) from None
     viewer = rerun_log.start(plan, folder / "flight.rrd", view)
     try:
         if viewer.message:
             console.print(viewer.message, soft_wrap=True, highlight=False)
         yield Displays(FlightScreen(plan, console, keys=sys.stdin.isatty()), viewer)
+    except (BrokenPipeError, SystemExit):  # Rich ends the program where its output is closed
+        raise Interrupted(
+            f"the output was closed, and the flight goes on: swarm attach {folder}"
+        ) from None
     finally:
         viewer.close()
 

@@ -30,6 +30,7 @@ from swarm.ground.fly import FlyOptions
 from swarm.ground.forward import parse_forward
 from swarm.ground.mocap import parse_url
 from swarm.ground.record_folder import control_socket, new_record_folder
+from swarm.ground.tick_tasks import Unattended
 from swarm.ground.world_clock import require_clock
 from swarm.mavlink.frames import AutopilotName
 from swarm.mission import Mission
@@ -69,6 +70,7 @@ class Options:
     forward: str | None
     resume: Path | None
     then: Then
+    unattended: Unattended
 
     def refuse_with_resume(self) -> None:
         """Raise :class:`InputError` for options whose values come from the resumed record."""
@@ -188,6 +190,14 @@ def capture_address(
     show_default=True,
     help="With --resume: action when all vehicles are found.",
 )
+@click.option(
+    "--unattended",
+    type=click.Choice(get_args(Unattended)),
+    default="hold",
+    show_default=True,
+    help="What the team does when the last screen of the flight is gone: the terminal is closed, "
+    "and no other one is attached. hold: all land together after the hold timeout.",
+)
 @click.pass_context
 def fly(context: click.Context, /, **options: Any) -> None:
     """Plan MISSION (a mission or plan file, or the name of a knot), check the plan, and fly it.
@@ -196,8 +206,9 @@ def fly(context: click.Context, /, **options: Any) -> None:
     certified again and flown.
 
     Without --fleet, the built-in emulator flies in a process of its own. Ctrl-C holds and then
-    lands the team. After a failure of the ground station in flight, --resume takes over the
-    vehicles; plan and fleet come from the record.
+    lands the team. The flight outlives this terminal: `swarm attach` shows it in another one. After
+    a failure of the ground station in flight, --resume takes over the vehicles; plan and fleet come
+    from the record.
 
     Example: swarm fly missions/overhand.yaml --fleet fleet.yaml --view
     """
@@ -215,6 +226,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
                 forward=given.forward,
                 mocap=given.mocap,
                 world_clock=given.clock,
+                unattended=given.unattended,
             ),
             view=given.view,
             as_json=given.as_json,
@@ -248,7 +260,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
         FlyOptions(
             speed=given.speed, no_cable=given.no_cable, control=control, forward=given.forward,
             firmware=given.firmware, positioning=given.positioning or "rtk", mocap=given.mocap,
-            world_clock=given.clock,
+            world_clock=given.clock, unattended=given.unattended,
         ),
         confirm=True,
     )  # fmt: skip
@@ -272,7 +284,7 @@ def _emulated_fleet(count: int, firmware: str | None) -> Fleet:
 
 def _fly(flight: FlightRequest, given: Options, console: Console) -> FlightResult:
     """Fly with terminal and viewer, after the operator's confirmation for real vehicles."""
-    unattended = flight.fleet.emulated is not None or given.yes
+    unasked = flight.fleet.emulated is not None or given.yes
     plan = flight.flight_plan.plan
     plan_findings = flight.flight_plan.assessment.findings
     prepare_flight()
@@ -281,9 +293,7 @@ def _fly(flight: FlightRequest, given: Options, console: Console) -> FlightResul
         return fly_in_process(
             flight,
             FlightCallbacks(
-                confirm=_confirmation(
-                    shown, screen, console, unattended=unattended, warnings=warnings
-                ),
+                confirm=_confirmation(shown, screen, console, unasked=unasked, warnings=warnings),
                 on_snapshot=shown.on_snapshot,
                 on_event=shown.on_event,
             ),
@@ -297,19 +307,19 @@ def _confirmation(
     screen: ExitStack,
     console: Console,
     *,
-    unattended: bool,
+    unasked: bool,
     warnings: Sequence[Finding],
 ) -> Callable[[Audit], bool]:
-    """Return the confirmation before arming: a question unless ``unattended``, and a countdown.
+    """Return the confirmation before arming: a question unless ``unasked``, and a countdown.
 
     Before the question the ``warnings`` of the plan and the findings of the audit are printed. The
     screen starts after the question, or now.
     """
-    if unattended:
+    if unasked:
         screen.enter_context(shown.screen)
 
     def confirm(audit: Audit) -> bool:
-        if not unattended:
+        if not unasked:
             console.print(findings_table([*warnings, *audit.findings]))
             if not click.confirm("Arm and fly?", err=True):
                 return False

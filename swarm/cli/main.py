@@ -36,6 +36,8 @@ SECTIONS = {
     "Fly": {
         "check": ("check", "Check a fleet on the ground, before arming."),
         "fly": ("fly", "Plan, check and fly a mission."),
+        "attach": ("attach", "Show a flight that another terminal began, with its keys."),
+        "flights": ("attach", "List the flights that run on this machine."),
         "verify": ("verify", "Verify a flight record."),
         "view": ("view", "Open a flight record, a plan or a recording in the Rerun viewer."),
         "export": ("export", "Write a flight or a plan for Foxglove, PlotJuggler and others."),
@@ -142,8 +144,8 @@ def main() -> None:
     except SwarmError as error:
         click.echo(f"{error}", err=True)
         code = error.exit_code
-    except BrokenPipeError:
-        sys.stderr.close()  # the reader of the output has closed it
+    except (BrokenPipeError, SystemExit):
+        sys.stderr.close()  # the reader of the output has closed it; Rich then ends the program
         code = 0
     except Exception as error:
         code = _report_bug(error)

@@ -19,7 +19,7 @@ from swarm.flight.modes.prepare import prepare, wait_for_clearance
 from swarm.flight.modes.resume import find_team
 from swarm.flight.modes.transitions import change_stage
 from swarm.flight.observing import follow_swing, monitor, observe
-from swarm.flight.operator import Request, request
+from swarm.flight.operator import Availability, Request, available, request
 from swarm.flight.pace import LONGEST_TICK
 from swarm.flight.reporting import record_sample, snapshot_of, statistics_of
 from swarm.flight.responding import respond
@@ -153,6 +153,10 @@ class Conductor(FlightView):
         :attr:`Snapshot.available` has the present effect of every command.
         """
         return request(self.state, command)
+
+    def available(self) -> Mapping[Request, Availability]:
+        """Return, for every operator's command, whether it is possible now, and its effect."""
+        return available(self.state)
 
     def report(self, kind: str, message: str) -> None:
         """Add an event of the shell to the record."""

@@ -1,9 +1,12 @@
 """The flight in a process of its own, independent of drawing, writing and waiting in the caller.
 
 :func:`fly_in_process` is :func:`swarm.ground.fly.fly` in another process. Snapshots, events and
-the question before the flight arrive over a pipe. The process ends with its caller.
+the question before the flight arrive over a pipe; keys and signals go the other way. The caller is
+the first screen of the flight, which outlives it: where the caller ends, or loses its terminal,
+the flight goes on as ``FlyOptions.unattended`` says, and others attach to its control socket.
 """
 
+import os
 import queue
 import signal
 import socket
@@ -17,21 +20,25 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, Final
 
 from swarm.child_modules import module_command
-from swarm.errors import SwarmError, VehicleError
+from swarm.errors import Interrupted, SwarmError, VehicleError
 from swarm.flight.clearance import Audit
 from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.result import FlightResult
 from swarm.ground.callbacks import FlightCallbacks
-from swarm.ground.child_process import die_with_parent, exit_reason
+from swarm.ground.child_process import exit_reason
 from swarm.ground.fly import FlyOptions, fly
 from swarm.ground.operator import terminal_keys
 from swarm.ground.priority import lowered_priority, raise_priority, run_behind_main_thread
+from swarm.ground.tick_tasks import Caller
 from swarm.mission.fleet import Fleet
 
 _POLL = 0.05
+
+MODULE: Final = "swarm.ground.flight_process"
+"""The module that the process runs; its last argument is the folder of the record."""
 
 
 @dataclass(frozen=True)
@@ -56,40 +63,48 @@ def fly_in_process(
 
     ``read_keys`` passes keys of this terminal on, from the confirmation on where there is one;
     ``low_priority`` runs this process at lower priority during the flight. SIGINT and SIGTERM are
-    passed on: the first lands the team after a hold, the second at once.
+    passed on: the first lands the team after a hold, the second at once. SIGHUP ends this process,
+    as a callback that raises ends this function; the flight goes on.
 
     Raises the errors of :func:`swarm.ground.fly.fly`, and :class:`VehicleError` if the process ends
     before the flight does.
     """
     ours, theirs = socket.socketpair()
     process = subprocess.Popen(  # noqa: S603
-        module_command("swarm.ground.flight_process", str(theirs.fileno())),
+        module_command(MODULE, str(theirs.fileno()), str(request.folder.absolute())),
         pass_fds=[theirs.fileno()],
         stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
         start_new_session=True,
     )
     theirs.close()
-    pipe = Connection(ours.detach())
+    pipe = Connection(os.dup(ours.fileno()))
     confirming = threading.Event()
-    try:
-        with ExitStack() as context:
-            context.enter_context(lowered_priority() if low_priority else nullcontext())
-            context.enter_context(_forwarded_signals(process, confirming))
-            pipe.send(request)
+    with ExitStack() as context:
+        context.callback(_disconnect, ours)
+        context.enter_context(lowered_priority() if low_priority else nullcontext())
+        try:
+            with suppress(OSError):
+                pipe.send(request)
+            context.enter_context(_forwarded_signals(pipe, confirming))
             keys = _Keys(context, _KeySender(pipe), enabled=read_keys)
             if not request.confirm:
                 keys.start()
-            return _serve(pipe, callbacks or FlightCallbacks(), keys, confirming)
-    except (EOFError, BrokenPipeError, ConnectionResetError):
-        reason = exit_reason(process.wait(5.0))
-        raise VehicleError(f"the flight's process ended ({reason})") from None
-    finally:
-        pipe.close()
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(10.0)
-        if process.poll() is None:
-            process.kill()
-            process.wait()
+            kind, content = _serve(pipe, callbacks or FlightCallbacks(), keys, confirming)
+        except _FlightEndedError:
+            reason = exit_reason(process.wait(5.0))
+            raise VehicleError(f"the flight's process ended ({reason})") from None
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(10.0)
+    if process.poll() is None:
+        process.kill()
+        process.wait()
+    if kind == "error":
+        raise content
+    if kind == "bug":
+        raise RuntimeError(f"in the flight's process:\n{content}")
+    result: FlightResult = content
+    return result
 
 
 def _serve(
@@ -97,7 +112,7 @@ def _serve(
     callbacks: FlightCallbacks,
     keys: "_Keys",
     confirming: threading.Event,
-) -> FlightResult:
+) -> tuple[str, Any]:
     """Handle the messages of the flight process until it sends a result or an error."""
     inbox = _Inbox(pipe)
     while True:
@@ -106,22 +121,23 @@ def _serve(
         kind, content = message
         match kind:
             case "end":
-                raise EOFError
-            case "result":
-                result: FlightResult = content
-                return result
-            case "error":
-                raise content
-            case "bug":
-                raise RuntimeError(f"in the flight's process:\n{content}")
+                raise _FlightEndedError
+            case "result" | "error" | "bug":
+                return kind, content
             case "snapshot" if callbacks.on_snapshot is not None:
                 callbacks.on_snapshot(content)
             case "event" if callbacks.on_event is not None:
                 callbacks.on_event(content)
             case "confirm":
-                pipe.send(("answer", _confirm(callbacks.confirm, content, confirming)))
+                _send(pipe, "answer", _confirm(callbacks.confirm, content, confirming))
                 keys.start()  # the question is answered on the same terminal
         keys.poll()
+
+
+def _send(pipe: Connection, kind: str, content: Any) -> None:
+    """Send a message; that the process has ended is what the inbox reports."""
+    with suppress(OSError):
+        pipe.send((kind, content))
 
 
 def _confirm(
@@ -136,6 +152,16 @@ def _confirm(
         return False
     finally:
         confirming.clear()
+
+
+def _disconnect(ours: socket.socket) -> None:
+    """End both directions; the inbox, whose thread reads the pipe, gets its end and closes it."""
+    with ours, suppress(OSError):
+        ours.shutdown(socket.SHUT_RDWR)
+
+
+class _FlightEndedError(Exception):
+    """The process of the flight ended before the flight did."""
 
 
 class _Inbox:
@@ -162,6 +188,7 @@ class _Inbox:
                     if not self._newest:
                         self._waiting.put((kind, None))
                     self._newest = [content]
+        self._pipe.close()
         self._waiting.put(("end", None))
 
     def receive(self, timeout: float) -> tuple[str, Any] | None:
@@ -183,7 +210,7 @@ class _KeySender:
 
     def key(self, key: str) -> str | None:
         """Send a key."""
-        self.pipe.send(("key", key))
+        _send(self.pipe, "key", key)
         return None
 
 
@@ -204,23 +231,24 @@ class _Keys:
 
 
 @contextmanager
-def _forwarded_signals(
-    process: "subprocess.Popen[bytes]", confirming: threading.Event
-) -> Iterator[None]:
+def _forwarded_signals(pipe: Connection, confirming: threading.Event) -> Iterator[None]:
     """Forward signals to the flight, if this is the main thread; they also cancel a question."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def catch(number: int, _frame: FrameType | None) -> None:
-        process.send_signal(number)
+        _send(pipe, "signal", number)
         if confirming.is_set():
             raise KeyboardInterrupt
 
+    def leave(_number: int, _frame: FrameType | None) -> None:
+        # Its terminal is gone: whatever this process writes now fails. The flight goes on.
+        os._exit(Interrupted.exit_code)
+
     before = {number: signal.signal(number, catch) for number in (signal.SIGINT, signal.SIGTERM)}
-    if hasattr(signal, "SIGHUP") and callable(signal.getsignal(signal.SIGHUP)):
-        # without its terminal it cannot show messages: it ends at once, and the flight with it
-        before[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        before[signal.SIGHUP] = signal.signal(signal.SIGHUP, leave)
     try:
         yield
     finally:
@@ -235,10 +263,13 @@ class _FlightServer:
         self._pipe = pipe
         self._lock = threading.Lock()
         self._answers: queue.SimpleQueue[bool] = queue.SimpleQueue()
-        self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._caller = Caller()
 
     def run(self) -> None:
-        request: FlightRequest = self._pipe.recv()
+        try:
+            request: FlightRequest = self._pipe.recv()
+        except (EOFError, OSError):
+            return  # the caller ended before it sent its request
         threading.Thread(target=self._listen, name="caller", daemon=True).start()
         callbacks = FlightCallbacks(
             confirm=self._confirm if request.confirm else None,
@@ -252,7 +283,7 @@ class _FlightServer:
                 request.folder,
                 request.options,
                 callbacks,
-                key_queue=self._keys,
+                caller=self._caller,
             )
         except SwarmError as error:
             self._send("error", error)
@@ -262,8 +293,8 @@ class _FlightServer:
             self._send("result", result)
 
     def _send(self, kind: str, content: Any) -> None:
-        with self._lock, suppress(OSError):
-            self._pipe.send((kind, content))
+        with self._lock:
+            _send(self._pipe, kind, content)
 
     def _confirm(self, audit: Audit) -> bool:
         self._send("confirm", audit)
@@ -277,13 +308,18 @@ class _FlightServer:
                 if kind == "answer":
                     self._answers.put(content)
                 elif kind == "key":
-                    self._keys.put(content)
+                    self._caller.keys.put(content)
+                elif kind == "signal":
+                    self._caller.interrupts.append(content)
+        self._caller.gone.set()
         self._answers.put(False)
 
 
 def main() -> None:
     """Fly the request that arrives over the pipe whose descriptor is the first argument."""
-    die_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # before the flight: ends without a traceback
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a session that ends is no reason to land
     raise_priority()
     with Connection(int(sys.argv[1])) as pipe:
         _FlightServer(pipe).run()

@@ -1,19 +1,17 @@
 """One flight on real links, from the first heartbeat to the closed record."""
 
-import queue
 import signal
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from swarm import precompile
-from swarm.errors import Refused
+from swarm.errors import InputError, Problem, Refused
 from swarm.flight.adherence import adherence
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan, require_tracking
@@ -34,7 +32,7 @@ from swarm.ground.record import Record
 from swarm.ground.relay import Relay
 from swarm.ground.signing_key import signing_with
 from swarm.ground.sockets import Links, open_links
-from swarm.ground.tick_tasks import TickTasks
+from swarm.ground.tick_tasks import Caller, TickTasks, Unattended
 from swarm.ground.world_clock import WorldClock, open_clock
 from swarm.jit import sealed
 from swarm.mavlink.frames import Origin
@@ -62,6 +60,7 @@ class FlyOptions:
       (:mod:`swarm.ground.mocap`).
     - ``world_clock``: file with the time of a world in another process (``swarm sitl --clock``),
       which the flight follows instead of the wall clock.
+    - ``unattended``: what the team does when the last screen of the flight is gone.
     """
 
     speed: float = 1.0
@@ -76,6 +75,7 @@ class FlyOptions:
     positioning: str = "rtk"
     mocap: str | None = None
     world_clock: Path | None = None
+    unattended: Unattended = "hold"
 
 
 def fly(
@@ -86,17 +86,20 @@ def fly(
     callbacks: FlightCallbacks | None = None,
     *,
     read_keys: bool = False,
-    key_queue: "queue.SimpleQueue[str] | None" = None,
+    caller: Caller | None = None,
 ) -> FlightResult:
     """Fly a checked plan; return the result, with the record in ``folder``.
 
-    ``read_keys`` reads single keys from the terminal; ``key_queue`` has keys that another process
-    has read. The first SIGINT holds and lands the team, the second lands it at once.
+    ``read_keys`` reads single keys from the terminal; ``caller`` is the process that began the
+    flight, if another one. The first interrupt holds and lands the team, the second lands it at
+    once. The caller, and clients that watch the control socket, are the screens of the flight;
+    without a screen, ``options.unattended`` says what the team does.
 
     Raises :class:`swarm.errors.VehicleError` for a link that cannot be opened, and
     :class:`swarm.errors.InputError` for a record that cannot be written.
     """
     options, callbacks = options or FlyOptions(), callbacks or FlightCallbacks()
+    caller = caller or Caller()
     _refuse_unflyable(flight_plan, fleet, options)
     conductor = _conductor(flight_plan, fleet, options)
     with ExitStack() as resources:
@@ -118,27 +121,32 @@ def fly(
             record.frames(options.left.known)
         if emulator is not None and callbacks.on_emulator is not None:
             callbacks.on_emulator(emulator.pid)
-        console = OperatorConsole(conductor, lambda: conductor.snapshot(conductor.now).available)
+        if record.problem is not None:
+            raise InputError(
+                [Problem(str(folder), f"the record cannot be written: {record.problem}")]
+            )
+
+        def console() -> OperatorConsole:
+            return OperatorConsole(conductor, conductor.available)
+
         preflight = Preflight(conductor, folder, callbacks.confirm)
         with ExitStack() as running:
             running.enter_context(sealed())
+            control = running.enter_context(_open_control(options.control, console))
             publish = running.enter_context(publisher(callbacks))
-            interrupts = running.enter_context(_caught_interrupts())
-            inputs = [running.enter_context(terminal_keys(console))] if read_keys else []
-            if key_queue is not None:
-                inputs.append(partial(_handle_queued, key_queue, console))
-            if options.control is not None:
-                control = ControlSocket(options.control, console)
-                running.callback(control.close)
-                inputs.append(control.poll)
+            running.enter_context(_caught_interrupts(caller.interrupts))
+            inputs = [caller.key_reader(console())]
+            if read_keys:
+                inputs.append(running.enter_context(terminal_keys(console())))
             real = fleet.emulated is None or options.firmware is not None
             audit = options.audit if options.audit is not None else real
             if audit and options.left is None:
                 preflight.relay = Relay(conductor.team)
                 running.callback(preflight.relay.close)
             tasks = TickTasks(
-                conductor, record, preflight, publish, interrupts, emulator, inputs, mocap=bridge
-            )
+                conductor, record, preflight, publish, caller, emulator, inputs, mocap=bridge,
+                control=control, unattended=options.unattended,
+            )  # fmt: skip
             forward = open_forward(options.forward, conductor.team) if options.forward else None
             if forward is not None:
                 running.callback(forward.close)
@@ -197,6 +205,21 @@ def _facts(options: FlyOptions, record: Record, started: float | None) -> dict[s
         "start_time": record.start_time,
         "world_start": started * options.speed if started is not None else None,
     }
+
+
+@contextmanager
+def _open_control(
+    path: Path | None, console: Callable[[], OperatorConsole]
+) -> Iterator[ControlSocket | None]:
+    """Open the control socket of the flight, if it has one."""
+    if path is None:
+        yield None
+        return
+    control = ControlSocket(path, console)
+    try:
+        yield control
+    finally:
+        control.close()
 
 
 @contextmanager
@@ -270,18 +293,11 @@ def _result(
     )
 
 
-def _handle_queued(keys: "queue.SimpleQueue[str]", console: OperatorConsole) -> None:
-    with suppress(queue.Empty):
-        while True:
-            console.key(keys.get_nowait())
-
-
 @contextmanager
-def _caught_interrupts() -> Iterator[list[int]]:
+def _caught_interrupts(caught: list[int]) -> Iterator[None]:
     """Collect SIGINT and SIGTERM in a list instead of ending, if this is the main thread."""
-    caught: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield caught
+        yield
         return
 
     def catch(number: int, _frame: FrameType | None) -> None:
@@ -289,7 +305,7 @@ def _caught_interrupts() -> Iterator[list[int]]:
 
     before = {number: signal.signal(number, catch) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield caught
+        yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

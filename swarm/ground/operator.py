@@ -3,7 +3,9 @@
 The control socket is a Unix socket that only its owner may open. Each line is one request; the
 answer is one line: the effect, or the reason why the request is not possible. ``status`` lists the
 effect of every request at this moment. ``kill`` must be repeated as ``kill NUMBER``, with the
-number in the answer to ``kill``; after the key for it, the number must be typed.
+number in the answer to ``kill``; after the key for it, the number must be typed. ``key X`` is a
+typed key. ``snapshot`` returns the team's state as JSON. After ``watch`` the client is a screen of
+the flight: it gets the events so far, then every snapshot and event, each as a line of JSON.
 """
 
 import os
@@ -13,13 +15,17 @@ import socket
 import sys
 import termios
 import tty
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
 from swarm.errors import VehicleError
 from swarm.flight.operator import REQUESTS, Request
+from swarm.flight.snapshot import Event, Snapshot
+from swarm.ground.screen_lines import screen_line
 
 KEYS: Mapping[str, Request] = {
     " ": "hold",
@@ -37,6 +43,8 @@ KILL_KEY = "k"
 _DIGITS = 4
 _MAX_LINE = 200
 _MAX_CLIENTS = 8
+_MOST_WAITING = 20
+"""Lines that wait for a slow screen before it misses snapshots: those of two seconds."""
 
 
 class RequestHandler(Protocol):
@@ -60,7 +68,7 @@ class OperatorConsole:
     """Converts keys and lines to operator requests; kill must be confirmed with a number."""
 
     def __init__(
-        self, flight: RequestHandler, status: Callable[[], Mapping[str, tuple[bool, str]]]
+        self, flight: RequestHandler, status: Callable[[], Mapping[Request, tuple[bool, str]]]
     ) -> None:
         """``status`` returns for every request whether it is possible, and its effect."""
         self._flight, self._status = flight, status
@@ -77,6 +85,8 @@ class OperatorConsole:
             )
         if word == "kill":
             return self._kill(rest.strip())
+        if word == "key":
+            return self.key(rest.strip()[:1] or " ") or "no request has this key"
         for request in REQUESTS:
             if word == request:
                 return self._flight.request(request)
@@ -120,13 +130,28 @@ class OperatorConsole:
         return self._number
 
 
+@dataclass(eq=False)
+class _Client:
+    """A client of the control socket; ``lines`` wait to be sent where it watches the flight."""
+
+    console: OperatorConsole
+    received: bytes = b""
+    watches: bool = False
+    lines: deque[bytes] = field(default_factory=deque)
+
+
 class ControlSocket:
     """The control socket; :meth:`poll` never blocks."""
 
-    def __init__(self, path: Path, console: OperatorConsole) -> None:
-        """Create the socket; raises :class:`VehicleError` if that fails."""
+    def __init__(self, path: Path, console: Callable[[], OperatorConsole]) -> None:
+        """Create the socket; raises :class:`VehicleError` if that fails.
+
+        Every client has a ``console`` of its own: the number that stops the motors belongs to it.
+        """
         self._path, self._console = path, console
-        self._clients: dict[socket.socket, bytes] = {}
+        self._clients: dict[socket.socket, _Client] = {}
+        self._events: list[bytes] = []
+        self._snapshot: Snapshot | None = None
         self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         before = os.umask(0o177)
         try:
@@ -140,44 +165,82 @@ class ControlSocket:
         finally:
             os.umask(before)
 
+    @property
+    def watched(self) -> bool:
+        """Whether a client is a screen of the flight."""
+        return any(client.watches for client in self._clients.values())
+
+    def publish(self, item: Snapshot | Event) -> None:
+        """Queue a snapshot or an event for the screens; a slow one misses snapshots, not events."""
+        watching = [client for client in self._clients.values() if client.watches]
+        if isinstance(item, Event):
+            self._events.append(screen_line(item))
+        else:
+            self._snapshot = item
+            watching = [client for client in watching if len(client.lines) < _MOST_WAITING]
+        if watching:
+            line = screen_line(item)
+            for client in watching:
+                client.lines.append(line)
+
     def poll(self) -> None:
-        """Accept clients, and answer the lines that have arrived."""
+        """Accept clients, answer the lines that have arrived, and send what waits."""
         with suppress(OSError):
             while len(self._clients) < _MAX_CLIENTS:
-                client, _ = self._listening.accept()
-                client.setblocking(False)
-                self._clients[client] = b""
-        for client in list(self._clients):
+                accepted, _ = self._listening.accept()
+                accepted.setblocking(False)
+                self._clients[accepted] = _Client(self._console())
+        for connection, client in list(self._clients.items()):
             try:
-                data = client.recv(_MAX_LINE)
+                data = connection.recv(_MAX_LINE)
             except BlockingIOError:
+                self._send(connection, client)
                 continue
             except OSError:
                 data = b""
-            if data:
-                self._handle(client, data)
+            if data and self._handle(client, data):
+                self._send(connection, client)
             else:
-                self._disconnect(client)
+                self._disconnect(connection)
 
-    def _handle(self, client: socket.socket, data: bytes) -> None:
-        *lines, rest = (self._clients[client] + data).split(b"\n")
-        self._clients[client] = rest
-        if len(rest) > _MAX_LINE:
-            self._disconnect(client)
-            return
+    def _handle(self, client: _Client, data: bytes) -> bool:
+        """Answer complete lines; return whether the client may stay."""
+        *lines, client.received = (client.received + data).split(b"\n")
         for line in lines:
-            answer = self._console.line(line.decode("utf-8", "replace"))
-            with suppress(OSError):
-                client.send(answer.encode() + b"\n")
+            text = line.decode("utf-8", "replace")
+            if text.strip() not in {"watch", "snapshot"}:
+                client.lines.append(client.console.line(text).encode() + b"\n")
+                continue
+            if text.strip() == "watch":
+                client.watches = True
+                client.lines.extend(self._events)
+            if self._snapshot is not None:
+                client.lines.append(screen_line(self._snapshot))
+        return len(client.received) <= _MAX_LINE
 
-    def _disconnect(self, client: socket.socket) -> None:
-        self._clients.pop(client, None)
-        client.close()
+    def _send(self, connection: socket.socket, client: _Client) -> None:
+        """Send what waits, as far as the client reads."""
+        try:
+            while client.lines:
+                sent = connection.send(client.lines[0])
+                client.lines[0] = client.lines[0][sent:]
+                if not client.lines[0]:
+                    client.lines.popleft()
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._disconnect(connection)
+
+    def _disconnect(self, connection: socket.socket) -> None:
+        self._clients.pop(connection, None)
+        connection.close()
 
     def close(self) -> None:
-        """Close and remove the socket."""
-        for client in list(self._clients):
-            self._disconnect(client)
+        """Send what waits, then close and remove the socket."""
+        self.poll()
+        for connection, client in list(self._clients.items()):
+            self._send(connection, client)
+            self._disconnect(connection)
         self._listening.close()
         self._path.unlink(missing_ok=True)
 

@@ -1,39 +1,80 @@
 """The work of the flight process after every tick: requests, events, snapshots, the go."""
 
-from collections.abc import Callable, Sequence
+import queue
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Literal
 
 from swarm.errors import Refused
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
+from swarm.flight.operator import Request
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.tlog import ClockEncoder
 from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.mocap import UNSEEN, MocapBridge
+from swarm.ground.operator import ControlSocket, OperatorConsole
 from swarm.ground.preflight import Preflight
 from swarm.ground.record import Record
 
 SNAPSHOT_INTERVAL = 0.1
+
+Unattended = Literal["hold", "land", "fly-on"]
+"""What the team does when the last screen of its flight is gone."""
+
+_ABSENCE: Mapping[Unattended, str] = {
+    "hold": "the last screen is gone: the team holds, and lands after the hold timeout",
+    "land": "the last screen is gone: the team lands",
+    "fly-on": "the last screen is gone: the flight goes on",
+}
+
+
+@dataclass(frozen=True)
+class Caller:
+    """The process that began the flight, its first screen: its keys and interrupts.
+
+    ``gone`` is set when it has ended, or has lost its terminal.
+    """
+
+    keys: "queue.SimpleQueue[str]" = field(default_factory=queue.SimpleQueue)
+    interrupts: list[int] = field(default_factory=list)
+    gone: threading.Event = field(default_factory=threading.Event)
+
+    def key_reader(self, console: OperatorConsole) -> Callable[[], None]:
+        """Return a function that handles the keys that have arrived."""
+
+        def poll() -> None:
+            with suppress(queue.Empty):
+                while True:
+                    console.key(self.keys.get_nowait())
+
+        return poll
 
 
 @dataclass
 class TickTasks:
     """Passes requests to the conductor, and its events and snapshots to record and callbacks.
 
-    ``inputs`` are polled for operator requests. ``interrupts`` are signals that have been caught
-    and are to be handled. ``events`` are all events so far.
-    Poses that ``mocap`` misses are reported.
+    ``inputs`` and ``control`` are polled for operator requests. When the last screen of the flight
+    is gone, the team holds, lands or flies on, as ``unattended`` says. ``events`` are all events so
+    far. Poses that ``mocap`` misses are reported.
     """
 
     conductor: Conductor
     record: Record
     preflight: Preflight
     publish: Callable[[Snapshot | Event], None]
-    interrupts: list[int]
+    caller: Caller
     emulator: EmulatorProcess | None = None
     inputs: Sequence[Callable[[], None]] = ()
     events: list[Event] = field(default_factory=list)
     mocap: MocapBridge | None = None
+    control: ControlSocket | None = None
+    unattended: Unattended = "hold"
+    _alone: bool = False
+    _due: bool = False
     _next_snapshot: float = 0.0
     _disk_reported: bool = False
     _phase: str = ""
@@ -45,24 +86,52 @@ class TickTasks:
     def run(self, now: float) -> None:
         """Do the work after the tick at ``now``."""
         conductor = self.conductor
-        while self.interrupts:
-            self.interrupts.pop()
+        while self.caller.interrupts:
+            self.caller.interrupts.pop()
             conductor.request("interrupt")
         for poll in self.inputs:
             poll()
+        if self.control is not None:
+            self.control.poll()
+        self._respond_to_absence()
         if conductor.stage == "ready" and conductor.audit is not None:
             self._decide(conductor.audit)
         for event in conductor.events():
             self.events.append(event)
             self.record.event(event)
-            self.publish(event)
+            self._show(event)
         if now >= self._next_snapshot:
             self._next_snapshot = now + SNAPSHOT_INTERVAL
             self._snapshot(now)
 
+    def _respond_to_absence(self) -> None:
+        """Report that the last screen is gone, or that one is back; hold or land once possible."""
+        conductor, control = self.conductor, self.control
+        watched = control is not None and control.watched
+        alone = self.caller.gone.is_set() and not watched
+        if alone != self._alone:
+            self._alone = alone
+            self._due = alone and self.unattended != "fly-on"
+            words = _ABSENCE[self.unattended] if alone else "a screen is attached again"
+            conductor.report("screens", words)
+        if not self._due:
+            return
+        on_ground = conductor.stage in {"prepare", "ready"}
+        command: Request = (
+            "interrupt" if on_ground else "land" if self.unattended == "land" else "hold"
+        )
+        if conductor.available()[command].open:
+            self._due = False
+            conductor.request(command)
+
+    def _show(self, item: Snapshot | Event) -> None:
+        self.publish(item)
+        if self.control is not None:
+            self.control.publish(item)
+
     def _snapshot(self, now: float) -> None:
         conductor, record = self.conductor, self.record
-        self.publish(conductor.snapshot(now))
+        self._show(conductor.snapshot(now))
         if record.problem is not None and not self._disk_reported:
             self._disk_reported = True
             text = f"the record cannot be written: {record.problem}; the flight goes on"

@@ -112,41 +112,6 @@ def test_a_process_that_dies_is_a_vehicle_error(tmp_path):
     killer.join()
 
 
-def emulators(folder) -> list[str]:
-    listed = subprocess.run(
-        ["ps", "-ww", "-e", "-o", "args="], capture_output=True, text=True, check=True
-    ).stdout
-    return [row for row in listed.splitlines() if "sitl" in row and str(folder) in row]
-
-
-CALLER = """
-import sys
-from pathlib import Path
-from swarm.mission.fleet import emulated_fleet
-from swarm.ground.flight_process import FlightRequest, fly_in_process
-from swarm.ground.fly import FlyOptions
-from tests.network import small_plan
-flight = FlightRequest(small_plan(), emulated_fleet(3), Path(sys.argv[1]), FlyOptions(speed=4.0))
-fly_in_process(flight)
-"""
-
-
-def test_the_process_ends_with_its_caller(tmp_path):
-    caller = subprocess.Popen([sys.executable, "-c", CALLER, str(tmp_path / "record")])
-    deadline = time.monotonic() + 60.0
-    while not (pids := children(caller.pid)):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    while not (tmp_path / "record" / "flight.tlog").exists():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    caller.kill()
-    caller.wait()
-    while os.path.exists(f"/proc/{pids[0]}") or emulators(tmp_path):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-
-
 def test_keys_are_read_from_the_confirmation_on(monkeypatch):
     """The question is answered on a terminal that echoes; after it, single keys are sent."""
     master, slave = pty.openpty()
@@ -175,7 +140,7 @@ def test_keys_are_read_from_the_confirmation_on(monkeypatch):
         monkeypatch.setattr(sys, "stdin", terminal)
         keys = _Keys(context, _KeySender(ours), enabled=True)
         callbacks = FlightCallbacks(confirm=confirm)
-        assert _serve(ours, callbacks, keys, threading.Event()) == "the result"
+        assert _serve(ours, callbacks, keys, threading.Event()) == ("result", "the result")
     process.join(5.0)
     os.close(master)
     assert seen == [True, ("answer", True), ("key", "h")]

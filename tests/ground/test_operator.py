@@ -5,12 +5,34 @@ import pty
 import socket
 import stat
 from contextlib import suppress
+from dataclasses import fields
 
 import numpy as np
 import pytest
 
+from swarm.certification.monitor import Clearances
 from swarm.errors import VehicleError
+from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.operator import KEYS, KILL_KEY, ControlSocket, OperatorConsole, terminal_keys
+from swarm.ground.screen_lines import read_screen_line
+
+SNAPSHOT = Snapshot(
+    time=12.5, mission_time=11.0, rate=0.5, phase="fold", waiting_for=None,
+    position=np.array([[1.0, 2.0, np.nan], [4.0, 5.0, 6.0]]),
+    velocity=np.zeros((2, 3)), setpoint=np.full((2, 3), np.nan), modes=("offboard", "guided"),
+    states=("armed", "armed"), armed=(True, False), gripped=(True, True),
+    battery=np.array([0.5, np.nan]), link_age=np.array([0.1, np.inf]),
+    clearances=Clearances(*range(len(fields(Clearances)))), available={"hold": (True, "all stop")},
+    held="wind", time_left=3.0, stray=np.array([0.02]), cable=np.zeros((1, 4, 3)),
+)  # fmt: skip
+
+
+def assert_same(read, wanted):
+    """Two snapshots have the same values, NaN at the same places."""
+    for field in fields(wanted):
+        expected, value = getattr(wanted, field.name), getattr(read, field.name)
+        assert type(value) is type(expected), field.name
+        np.testing.assert_equal(value, expected, err_msg=field.name)
 
 
 class Flight:
@@ -93,7 +115,7 @@ def test_a_wrong_number_and_another_key_cancel_kill(flight, console):
 
 def test_the_socket_is_private_and_answers(flight, console, tmp_path):
     path = tmp_path / "control"
-    control = ControlSocket(path, console)
+    control = ControlSocket(path, lambda: console)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     with socket.socket(socket.AF_UNIX) as client:
         client.settimeout(5)
@@ -117,7 +139,7 @@ def test_the_socket_is_private_and_answers(flight, console, tmp_path):
 def test_noise_on_the_socket_is_no_request_and_does_not_end_it(flight, console, tmp_path):
     """Random bytes, lines without end, kills with guessed numbers, clients that come and go."""
     rng = np.random.default_rng(4)
-    control = ControlSocket(tmp_path / "control", console)
+    control = ControlSocket(tmp_path / "control", lambda: console)
     for k in range(200):
         with socket.socket(socket.AF_UNIX) as client:
             client.connect(str(tmp_path / "control"))
@@ -135,9 +157,96 @@ def test_noise_on_the_socket_is_no_request_and_does_not_end_it(flight, console, 
     assert flight.requests == ["hold"]
 
 
+def connected(control, path):
+    """A client of the socket that waits for its answers at most five seconds."""
+    client = socket.socket(socket.AF_UNIX)
+    client.settimeout(5)
+    client.connect(str(path))
+    control.poll()
+    return client
+
+
+def lines_for(control, client, count):
+    """The next lines that the client gets."""
+    received = b""
+    while received.count(b"\n") < count:
+        control.poll()
+        with suppress(BlockingIOError):
+            received += client.recv(1 << 20, socket.MSG_DONTWAIT)
+    return [read_screen_line(line) for line in received.splitlines()]
+
+
+def test_a_screen_gets_what_was_and_what_comes(flight, tmp_path):
+    path = tmp_path / "control"
+    control = ControlSocket(path, lambda: OperatorConsole(flight, dict))
+    first, second = Event(1.0, "gate", "all are armed"), Event(2.0, "phase", "fold", 3)
+    control.publish(first)
+    control.publish(SNAPSHOT)
+    with connected(control, path) as asking, connected(control, path) as screen:
+        asking.send(b"snapshot\n")
+        assert_same(lines_for(control, asking, 1)[0], SNAPSHOT)
+        assert not control.watched
+        screen.send(b"watch\n")
+        event, snapshot = lines_for(control, screen, 2)
+        assert control.watched
+        assert event == first
+        assert_same(snapshot, SNAPSHOT)
+        control.publish(second)
+        screen.send(b"key h\nkey  \n")
+        assert lines_for(control, screen, 3) == [second, "hold it is", "hold it is"]
+        asking.setblocking(False)
+        control.poll()
+        with pytest.raises(BlockingIOError):
+            asking.recv(10)
+    control.poll()
+    assert not control.watched
+    control.close()
+
+
+def test_the_number_that_confirms_kill_belongs_to_its_client(flight, tmp_path):
+    path = tmp_path / "control"
+    control = ControlSocket(path, lambda: OperatorConsole(flight, dict))
+    with connected(control, path) as asking, connected(control, path) as other:
+        asking.send(b"kill\n")
+        (answer,) = lines_for(control, asking, 1)
+        number = answer.split()[-1].encode()
+        other.send(b"kill " + number + b"\n")
+        assert lines_for(control, other, 1)[0].startswith("to stop all motors")
+        assert flight.requests == []
+        asking.send(b"kill " + number + b"\n")
+        assert lines_for(control, asking, 1) == ["kill it is"]
+    control.close()
+    assert flight.requests == ["kill"]
+
+
+def test_a_screen_that_does_not_read_misses_snapshots_but_no_event(flight, tmp_path):
+    path = tmp_path / "control"
+    control = ControlSocket(path, lambda: OperatorConsole(flight, dict))
+    with connected(control, path) as screen:
+        screen.send(b"watch\n")
+        control.poll()
+        for k in range(2000):
+            control.publish(SNAPSHOT)
+            if k % 100 == 0:
+                control.publish(Event(float(k), "gate", "text"))
+            control.poll()
+        seen = []
+        while sum(isinstance(item, Event) for item in seen) < 20:
+            seen += lines_for(control, screen, 1)
+        snapshots = sum(isinstance(item, Snapshot) for item in seen)
+        assert 0 < snapshots < 1900
+    control.close()
+
+
+@pytest.mark.parametrize("line", [b'{"snapshot": 3}', b'{"event": {}}', b"{}", b"{"])
+def test_a_line_of_another_version_is_named(line):
+    with pytest.raises(ValueError, match="expected a snapshot or an event"):
+        read_screen_line(line)
+
+
 def test_a_socket_that_cannot_be_created_is_named(console, tmp_path):
     with pytest.raises(VehicleError, match=r"control socket .*nowhere"):
-        ControlSocket(tmp_path / "nowhere" / "control", console)
+        ControlSocket(tmp_path / "nowhere" / "control", lambda: console)
 
 
 def test_keys_are_read_from_a_terminal_only(flight, console):

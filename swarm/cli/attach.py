@@ -1,0 +1,220 @@
+"""``swarm attach`` and ``swarm flights``: screens of flights that another terminal began."""
+
+import json
+import os
+import re
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+from rich.console import Console
+
+from swarm.cli.inputs import JSON, print_json
+from swarm.errors import InputError, Problem, Refused, VehicleError, reason
+from swarm.flight.snapshot import Event, Snapshot
+from swarm.ground.flight_process import MODULE
+from swarm.ground.operator import terminal_keys
+from swarm.ground.record_folder import control_socket
+from swarm.ground.record_reader import recorded_plan
+from swarm.ground.screen_lines import read_screen_line
+from swarm.reports.formatting import clock
+from swarm.reports.terminal import FlightScreen
+
+_POLL = 0.05
+_ANSWERS = 2.0
+"""Seconds within which a flight answers: two hundred times its tick."""
+_ENDS = 10.0
+"""Seconds within which a flight that has ended writes its summary."""
+_DETACH = "d"
+
+
+@click.command()
+@click.argument(
+    "record", type=click.Path(file_okay=False, path_type=Path), metavar="[RECORD]", required=False
+)
+@click.pass_context
+def attach(context: click.Context, record: Path | None) -> None:
+    """Show a flight that another terminal began, with its keys; the key d detaches.
+
+    RECORD is the folder of its record; without it, the only flight that runs. Ctrl-C holds and
+    lands the team, as in the terminal that began the flight.
+
+    Example: swarm attach flights/2025-06-01T10-00-00-overhand
+    """
+    folder = record if record is not None else _only_flight()
+    connection = _connect(folder)
+    plan, console = recorded_plan(folder), Console()
+    sender = _Sender(connection)
+    signal.signal(signal.SIGINT, lambda *_: sender.line("interrupt"))
+    screen = FlightScreen(plan, console, keys=sys.stdin.isatty())
+    sender.line("watch")
+    with connection, screen, terminal_keys(sender) as poll_keys:
+        for item in _watched(connection):
+            if isinstance(item, Snapshot):
+                screen.show(item)
+            elif isinstance(item, Event):
+                screen.event(item)
+            poll_keys()
+            if sender.detached:
+                console.print("Detached: the flight goes on.", highlight=False)
+                return
+    context.exit(_print_outcome(folder, console))
+
+
+@click.command()
+@JSON
+def flights(as_json: bool) -> None:
+    """List the flights that run on this machine, with their records.
+
+    Example: swarm flights
+    """
+    rows = [(folder, _state(folder)) for folder in running_flights()]
+    if as_json:
+        print_json(
+            [
+                {
+                    "record": str(folder),
+                    "phase": state.phase if state else None,
+                    "mission_time": state.mission_time if state else None,
+                    "held": state.held if state else None,
+                }
+                for folder, state in rows
+            ]
+        )
+        return
+    console = Console()
+    if not rows:
+        console.print("No flight runs on this machine.", highlight=False)
+        return
+    for folder, state in rows:
+        words = "does not answer"
+        if state is not None:
+            words = f"{state.phase or 'on the ground'}, {clock(state.mission_time)} of the plan"
+            words += f", held: {state.held}" if state.held else ""
+        console.print(f"{folder}: {words}", soft_wrap=True, highlight=False, markup=False)
+
+
+def running_flights() -> list[Path]:
+    """Return the folders of the records of the flights that run on this machine."""
+    listed = subprocess.run(
+        ["ps", "-ww", "-e", "-o", "args="],  # noqa: S607 - the system's ps
+        capture_output=True, text=True, check=False,
+    ).stdout  # fmt: skip
+    rows = (row for row in listed.splitlines() if f"'{MODULE}'" in row)
+    folders = [Path(folder) for row in rows for folder in re.findall(r" \d+ (/.*)$", row)]
+    return sorted(folders)
+
+
+@dataclass
+class _Sender:
+    """Sends the keys of this terminal to the flight."""
+
+    connection: socket.socket
+    detached: bool = False
+
+    def key(self, key: str) -> str | None:
+        """Send a key; the one that detaches stays here."""
+        if key == _DETACH:
+            self.detached = True
+        else:
+            self.line(f"key {key}")
+        return None
+
+    def line(self, text: str) -> None:
+        """Send a line; that the flight has ended is what reading reports."""
+        with suppress(OSError):
+            self.connection.sendall(text.encode() + b"\n")
+
+
+def _only_flight() -> Path:
+    """Return the record of the only flight that runs; raises :class:`Refused` without it."""
+    folders = running_flights()
+    if len(folders) == 1:
+        return folders[0]
+    if not folders:
+        raise Refused("no flight runs on this machine")
+    listed = "".join(f"\n  {folder}" for folder in folders)
+    raise InputError(f"RECORD: expected one of the flights that run:{listed}")
+
+
+def _connect(folder: Path) -> socket.socket:
+    """Return a connection to the control socket of a flight."""
+    path = control_socket(Path(os.path.relpath(folder)))
+    if path is None:
+        raise InputError([Problem(str(folder), "too long a path for a control socket")])
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        connection.connect(str(path))
+    except PermissionError:
+        raise Refused(f"{folder}: only the account that began this flight may attach") from None
+    except OSError as error:
+        connection.close()
+        words = f"expected the record of a flight that runs: {reason(error)}"
+        raise InputError([Problem(str(folder), words)]) from None
+    return connection
+
+
+def _watched(connection: socket.socket) -> Iterator[Snapshot | Event | str | None]:
+    """Yield what the flight shows until it ends; None whenever nothing arrives for a moment."""
+    received = b""
+    while True:
+        if not select.select([connection], [], [], _POLL)[0]:
+            yield None
+            continue
+        try:
+            data = connection.recv(1 << 16)
+        except OSError:
+            return
+        if not data:
+            return
+        *lines, received = (received + data).split(b"\n")
+        for line in lines:
+            try:
+                yield read_screen_line(line)
+            except ValueError as error:
+                raise VehicleError(
+                    f"the flight sent what this version cannot read: {error}"
+                ) from None
+
+
+def _state(folder: Path) -> Snapshot | None:
+    """Return the newest snapshot of a flight; None where it does not answer."""
+    try:
+        with _connect(folder) as connection:
+            connection.sendall(b"snapshot\n")
+            latest = time.monotonic() + _ANSWERS
+            for item in _watched(connection):
+                if isinstance(item, Snapshot):
+                    return item
+                if time.monotonic() > latest:
+                    return None
+    except (InputError, Refused, VehicleError, OSError):
+        return None
+    return None
+
+
+def _print_outcome(folder: Path, console: Console) -> int:
+    """Print how a flight ended, from its record; return its exit code."""
+    latest = time.monotonic() + _ENDS
+    while True:
+        try:
+            ended = json.loads((folder / "summary.json").read_text())
+            word, explanation, code = ended["outcome"], ended["explanation"], ended["exit_code"]
+            break
+        except (OSError, ValueError, KeyError):
+            if time.monotonic() > latest:
+                message = f"{folder}: the flight ended without a summary"
+                raise VehicleError(message) from None
+            time.sleep(_POLL)
+    words = f"{word}: {explanation}" if explanation else word
+    console.print(words, soft_wrap=True, highlight=False, markup=False)
+    console.print(f"Record: {folder}", soft_wrap=True, highlight=False)
+    return int(code)

@@ -1,0 +1,182 @@
+"""A flight outlives its screens: the terminal that began it, and those that attach later."""
+
+import os
+import pty
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from swarm.ground.preflight import Preflight
+from swarm.ground.record import Record
+from swarm.ground.tick_tasks import Caller, TickTasks
+from tests.network import Network, small_plan
+
+SWARM = Path(sys.executable).with_name("swarm")
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def alone(tmp_path):
+    """A flight in virtual time whose caller goes, and the work of its process after each tick."""
+
+    def begun(policy):
+        flight = Network(small_plan())
+        record = Record(tmp_path / policy, 0.0)
+        preflight = Preflight(flight.conductor, tmp_path)
+        caller = Caller()
+        tasks = TickTasks(
+            flight.conductor, record, preflight, lambda _: None, caller, unattended=policy
+        )
+        return flight, tasks, caller
+
+    return begun
+
+
+def words(flight, tasks):
+    return [event.message for event in (*flight.events, *tasks.events)]
+
+
+@pytest.mark.parametrize(
+    ("policy", "end"),
+    [("hold", "interrupted"), ("land", "interrupted"), ("fly-on", "done")],
+)
+def test_a_team_without_a_screen_does_what_was_chosen(alone, policy, end):
+    flight, tasks, caller = alone(policy)
+    flight.until_phase("fold", after=1.0)
+    caller.gone.set()
+    tasks.run(flight.now)
+    tasks.run(flight.now)
+    flight.run(lambda: tasks.run(flight.now) is not None)
+    assert flight.conductor.finished.word == end, words(flight, tasks)
+    assert sum("the last screen is gone" in text for text in words(flight, tasks)) == 1
+    landing = [text for text in words(flight, tasks) if text.startswith("landing together")]
+    assert len(landing) == (policy != "fly-on"), words(flight, tasks)
+
+
+def test_who_attaches_again_may_resume(alone):
+    flight, tasks, caller = alone("hold")
+    flight.until_phase("fold", after=1.0)
+    caller.gone.set()
+    tasks.run(flight.now)
+    flight.until_time(5.0)
+    assert flight.conductor.clock.stopped
+    caller.gone.clear()
+    tasks.run(flight.now)
+    assert tasks.events[-1].message == "a screen is attached again"
+    flight.conductor.request("resume")
+    flight.run(lambda: tasks.run(flight.now) is not None)
+    assert flight.conductor.finished.word == "done", words(flight, tasks)
+
+
+@pytest.mark.parametrize("policy", ["hold", "land"])
+def test_on_the_ground_a_flight_without_a_screen_ends(alone, policy):
+    flight, tasks, caller = alone(policy)
+    flight.once()
+    caller.gone.set()
+    tasks.run(flight.now)
+    assert flight.conductor.finished.word == "interrupted"
+    assert flight.conductor.finished.explanation == "interrupted before anything was armed"
+
+
+class Terminal:
+    """A pseudo-terminal with a program in it, which loses it at :meth:`close`."""
+
+    def __init__(self, folder, *arguments):
+        self.process, self.master = pty.fork()
+        if self.process == 0:
+            os.chdir(folder)
+            os.execv(SWARM, ["swarm", *arguments])  # noqa: S606
+        os.set_blocking(self.master, False)
+        self.text = ""
+
+    def until(self, words, seconds=120.0):
+        """Read until the program has printed these words."""
+        deadline = time.monotonic() + seconds
+        while words not in self.text:
+            assert time.monotonic() < deadline, self.text[-2000:]
+            try:
+                self.text += os.read(self.master, 1 << 16).decode("utf-8", "replace")
+            except BlockingIOError:
+                time.sleep(0.02)
+
+    def close(self):
+        os.close(self.master)
+        os.waitpid(self.process, 0)
+
+
+@pytest.mark.usefixtures("in_real_time")
+def test_a_closed_terminal_and_another_that_attaches(tmp_path):
+    """The window is closed in mid-air; the team holds; the next terminal resumes, and sees it land."""
+    hover = str(ROOT / "missions" / "first-steps" / "hover.yaml")
+    first = Terminal(tmp_path, "fly", hover, "--speed", "4", "--record", "flight")
+    events = tmp_path / "flight" / "events.jsonl"
+    deadline = time.monotonic() + 240.0
+    while not (events.exists() and "all are airborne" in events.read_text()):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    first.close()
+    while "the last screen is gone" not in events.read_text():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    listed = subprocess.run(
+        [SWARM, "flights"], capture_output=True, text=True, check=True, cwd=tmp_path
+    ).stdout
+    (row,) = [row for row in listed.splitlines() if row.startswith(str(tmp_path))]
+    assert re.fullmatch(
+        rf"{tmp_path}/flight: fold, 0:\d\d\.\d of the plan, held: operator command", row
+    )
+    second = Terminal(tmp_path, "attach", "flight")
+    second.until("a screen is attached again")
+    os.write(second.master, b"r")
+    second.until("Record: flight")
+    second.close()
+    assert "done: " in second.text, second.text[-2000:]
+
+
+@pytest.mark.usefixtures("in_real_time")
+def test_a_closed_pipe_ends_the_screen_and_not_the_flight(tmp_path):
+    hover = str(ROOT / "missions" / "first-steps" / "hover.yaml")
+    command = [SWARM, "fly", hover, "--speed", "8", "--record", "flight", "--unattended", "land"]
+    flight = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+    )
+    for line in flight.stdout:
+        if "phase takeoff" in line:
+            break
+    flight.stdout.close()
+    flight.stdout = None
+    _, errors = flight.communicate(timeout=120)
+    assert flight.returncode == 130
+    assert errors.strip().endswith("the flight goes on: swarm attach flight")
+    assert "Traceback" not in errors
+    summary = tmp_path / "flight" / "summary.json"
+    deadline = time.monotonic() + 120.0
+    while not summary.exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert "landing together" in (tmp_path / "flight" / "events.jsonl").read_text()
+
+
+def test_a_flight_that_does_not_run_has_no_screen(tmp_path):
+    ended = subprocess.run(
+        [SWARM, "attach", "nowhere"], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr == (
+        "nowhere: expected the record of a flight that runs: no such file or directory\n"
+    )
+
+
+def test_a_record_that_cannot_be_written_is_refused_before_arming(tmp_path):
+    hover = str(ROOT / "missions" / "first-steps" / "hover.yaml")
+    (tmp_path / "file").write_text("")
+    ended = subprocess.run(
+        [SWARM, "fly", hover, "--record", "file/flight"],
+        capture_output=True, text=True, check=False, cwd=tmp_path,
+    )  # fmt: skip
+    assert ended.returncode == 2
+    assert ended.stderr.splitlines()[-1] == "file/flight: not a directory"
