@@ -39,7 +39,7 @@ def _fail(flight: FlightState, failure: Failure) -> None:
         shift_frame(flight, k, failure.jump)
     flight.report("failure", f"{kind}: {message}", vehicle)
     if row.irreversible:
-        mark_failed(flight, message)
+        mark_failed(flight, _with_cause(flight, failure))
     match policy.response_to(kind, flight.stage):
         case Response.REPORT:
             pass
@@ -54,3 +54,13 @@ def _fail(flight: FlightState, failure: Failure) -> None:
             stop_here(flight, message)
         case response:
             leave_the_plan(flight, response, message)
+
+
+def _with_cause(flight: FlightState, failure: Failure) -> str:
+    """Return a vehicle's failure in words, after those of other vehicles for which the team holds:
+    the first cause is the cause."""
+    k = failure.vehicle
+    own = None if k is None else flight.roster.vehicles[k].system
+    held = flight.holds.causes.items() if k is not None else ()
+    causes = [words for cause, words in held if cause.failure and cause.system not in {None, own}]
+    return "; ".join([*causes, failure.message])

@@ -68,7 +68,7 @@ def kinds(found) -> list[FailureKind]:
 
 def test_a_calm_team_shows_no_failure():
     detectors = (
-        LinkDetector(LIMITS, Latch()), MotionDetector(3, Latch()), HealthDetector(Latch(), gps=True),
+        LinkDetector(LIMITS, Latch()), MotionDetector(3, Latch(), cable=True), HealthDetector(Latch(), gps=True),
         TrackingDetector(1.0, 1.0), HoldTimeoutDetector(10.0), StandstillDetector(enabled=True),
     )  # fmt: skip
     for now in (10.0, 10.1, 10.2):
@@ -90,7 +90,7 @@ def test_a_vehicle_is_silent_once_and_is_received_again_with_its_mode():
 
 
 def test_a_jump_is_measured_and_its_report_does_not_count_twice():
-    motion = MotionDetector(3, Latch())
+    motion = MotionDetector(3, Latch(), cable=True)
     motion.detect(seen(10.0), expected())
     jumped = PLACES + np.array([[0, 0, 0], [0, 2.0, 0], [0, 0, 0]])
     (failure,) = motion.detect(seen(10.1, position=jumped), expected())
@@ -103,7 +103,7 @@ def test_a_jump_is_measured_and_its_report_does_not_count_twice():
 
 def test_a_ground_station_that_was_stalled_sees_no_jump():
     # at 2 m/s: it reads nothing for 1.2 s, then a report of 0.3 s after the last one, then a new one
-    motion = MotionDetector(3, Latch())
+    motion = MotionDetector(3, Latch(), cable=True)
     velocity = np.tile([2.0, 0.0, 0.0], (3, 1))
     moving = expected(velocity=velocity)
 
@@ -119,12 +119,84 @@ def test_a_ground_station_that_was_stalled_sees_no_jump():
 
 
 def test_the_neighbour_that_a_silent_vehicle_pulls_down_has_not_fallen():
-    motion = MotionDetector(3, Latch())
+    motion = MotionDetector(3, Latch(), cable=True)
     motion.detect(seen(10.0), expected())
     down = np.array([[0.0, 0.0, -2.0], [0, 0, 0], [0, 0, 0]])
     heard = np.array([10.1, 9.0, 10.1])
     (failure,) = motion.detect(seen(10.1, velocity=down, heard_at=heard), expected())
     assert (failure.kind, failure.vehicle) == (FailureKind.FALLEN_SILENT, 1)
+
+
+DOWN = np.array([[0.0, 0.0, -2.0], [0, 0, 0], [0, 0, 0]])
+OVER = np.array([[1.2, 0.0, 0.0], [0, 0, 0], [0, 0, 0]])
+
+
+def flown(motion, moments, **fields) -> list[tuple[float, FailureKind, int]]:
+    """Failures of motion at (time, velocity, attitude, when vehicle 2 was received, grippers)."""
+    found = []
+    for now, velocity, attitude, heard, gripped in moments:
+        one = seen(
+            now, velocity=velocity, attitude=attitude, heard_at=np.array([now, heard, now]),
+            gripped=np.array(gripped),
+        )  # fmt: skip
+        found += [
+            (now, failure.kind, failure.vehicle)
+            for failure in motion.detect(one, expected(**fields))
+        ]
+    return found
+
+
+def test_a_vehicle_that_a_silent_neighbour_turns_over_has_not_fallen():
+    """Before the neighbour counts as silent, and after that, the first cause is reported alone."""
+    held, moments = [True] * 3, [(10.0, DOWN * 0, OVER * 0, 10.0, [True] * 3)]
+    moments += [(now, DOWN, OVER, 10.0, held) for now in np.arange(10.3, 11.3, 0.1).round(1)]
+    assert flown(MotionDetector(3, Latch(), cable=True), moments) == [
+        (10.6, FailureKind.FALLEN_SILENT, 1)
+    ]
+
+
+@pytest.mark.parametrize("recovers", [True, False])
+def test_a_vehicle_that_a_fallen_neighbour_pulls_is_judged_by_whether_it_recovers(recovers):
+    motion, free = MotionDetector(3, Latch(), cable=True), [False] * 3
+    moments = [(10.0, DOWN * 0, OVER * 0, 10.0, [True] * 3)]
+    moments += [(now, DOWN, OVER, now, [True] * 3) for now in (10.1, 10.6, 11.0)]
+    moments += [(now, DOWN, OVER, now, free) for now in (11.1, 11.6)]
+    if recovers:
+        moments += [(now, DOWN * 0, OVER * 0, now, free) for now in (11.7, 11.8, 20.0)]
+    else:
+        moments += [(now, DOWN, OVER, now, free) for now in (12.2, 12.7, 20.0)]
+    found = flown(motion, moments, fallen=frozenset({1}))
+    assert found == ([] if recovers else [(12.7, FailureKind.FALLING, 0)])
+    # once it is free, nothing pulls it any more
+    motion = MotionDetector(3, Latch(), cable=True)
+    moments = [(10.0, DOWN * 0, OVER * 0, 10.0, free), (10.1, DOWN, OVER, 10.1, free)]
+    assert flown(motion, moments, fallen=frozenset({1})) == [(10.1, FailureKind.FALLING, 0)]
+
+
+@pytest.mark.parametrize("cable", [True, False])
+def test_nothing_pulls_without_cable(cable):
+    moments = [(10.0, DOWN * 0, OVER * 0, 10.0, [True] * 3), (10.1, DOWN, OVER, 10.1, [True] * 3)]
+    found = flown(MotionDetector(3, Latch(), cable=cable), moments, fallen=frozenset({1}))
+    assert found == ([] if cable else [(10.1, FailureKind.FALLING, 0)])
+
+
+def test_a_vehicle_that_sinks_slowly_is_judged_by_the_mode_that_it_reports_then():
+    """LOITER without a remote control descends at up to 2.5 m/s; free falls are faster."""
+    motion = MotionDetector(3, Latch(), cable=True)
+    slow = [DOWN * share for share in (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)]
+    reports = [
+        seen(10.0 + 0.1 * k, velocity=v, mode_at=np.full(3, 10.2)) for k, v in enumerate(slow)
+    ]
+    assert [one for report in reports for one in motion.detect(report, expected())] == []
+    (failure,) = motion.detect(seen(10.7, velocity=DOWN), expected())
+    assert failure.message == "vehicle 1 falls: descending at 2.0 m/s"
+    motion = MotionDetector(3, Latch(), cable=True)
+    alone = expected(streaming=np.array([False, True, True]))
+    for report in reports:
+        assert motion.detect(report, alone) == []
+    motion.detect(seen(10.7, velocity=1.25 * DOWN), alone)
+    (failure,) = motion.detect(seen(10.8, velocity=1.25 * DOWN), alone)
+    assert failure.message == "vehicle 1 leaves the team: descending at 2.5 m/s"
 
 
 def test_large_errors_and_short_distances_land_a_flight_that_measures_errors():

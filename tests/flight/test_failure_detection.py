@@ -40,3 +40,30 @@ def test_an_open_loop_flight_keeps_its_pace():
     result = simulate_flight(TOO_NEAR, options=Options(open_loop=True))
     assert result.outcome.word == "done"
     assert not [event for event in result.events if event.kind in {"failure", "hold"}]
+
+
+def test_a_vehicle_that_a_fallen_neighbour_pulls_down_for_a_moment_stays_in_the_team():
+    flight = Network(PLAN)
+    flight.until_phase("fold", 3.0)
+    began, (_, fallen, pulled) = flight.now, (one.system for one in flight.conductor.flyers)
+    faults = (
+        {"at": began, "vehicle": fallen, "kind": "motor_loss"},
+        {
+            "at": began + 0.3, "vehicle": pulled, "kind": "weak_thrust", "fraction": 0.3,
+            "duration": 1.0,
+        },
+    )  # fmt: skip
+    for fault in faults:
+        flight.emulator.inject(Fault.model_validate(fault))
+    lowest = 0.0
+    while flight.conductor.finished is None:
+        flight.once()
+        if flight.now < began + 2.0:
+            lowest = min(lowest, flight.conductor.state.observation.velocity[2, 2])
+    assert lowest < -1.5  # it sank faster than a vehicle that follows ever does
+    failures = [event for event in flight.events if event.kind == "failure"]
+    assert {event.vehicle for event in failures} == {2}
+    assert failures[0].message.startswith("falling: vehicle 2 falls")
+    assert flight.conductor.finished.explanation == failures[0].message.removeprefix("falling: ")
+    assert not flight.emulator.truth().gripped.any()
+    assert flight.emulator.bodies.crashed.tolist() == [False, True, False]

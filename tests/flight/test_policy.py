@@ -165,6 +165,64 @@ def test_the_team_responds_as_every_cell_of_the_table_says(folding, kind):
         CHECKS[cell.end](flight, cell)
 
 
+def holding(flight: FlightState) -> set[int]:
+    """The vehicles that hold the cable, and whose grippers are not commanded to open."""
+    vehicles = enumerate(flight.roster.vehicles)
+    return {k for k, vehicle in vehicles if vehicle.gripped} - opened(flight)
+
+
+@pytest.mark.parametrize("kind", FailureKind)
+@pytest.mark.parametrize("answered", [True, False])
+def test_a_second_report_makes_no_response_to_a_fall_less_safe(folding, kind, answered):
+    """In every step, and at a vehicle beside the first one or farther away."""
+    for windows in Windows:
+        flight = standing(folding, windows, Stage.EXECUTE)
+        respond(flight, Failure(FailureKind.FALLING, WORDS, VICTIM))
+        for k in opened(flight) if answered else ():
+            flight.roster.vehicles[k].gripped = False
+            flight.roster.vehicles[k].commands.clear()
+        for step in (Step.RELEASE, Step.SEPARATE, Step.DESCEND):
+            for second in (2, 3):
+                later = branch(flight, (flight.setup, flight.stream_loss))
+                later.contingency = replace(later.contingency, step=step)
+                before = holding(later)
+                respond(later, Failure(kind, WORDS, second))
+                case = windows, step, second
+                assert holding(later) <= before, case
+                assert later.contingency.step in {step, Step.RELEASE}, case
+                assert later.contingency.target is None, case
+                assert VICTIM in later.streams.fallen, case
+                assert later.ending.failure == WORDS
+                if kind in LOSES_A_VEHICLE:
+                    near = {second - 1, second, min(second + 1, 4)}
+                    assert not holding(later) & near, case
+                    open_ = windows in {Windows.BOTH, Windows.RELEASE}
+                    assert not (open_ and holding(later)), case
+
+
+def test_a_team_on_its_way_to_a_release_that_must_stop_drops_no_cable_on_a_rotor(folding):
+    for windows in Windows:
+        flight = standing(folding, windows, Stage.EXECUTE)
+        contingency.leave_the_plan(flight, Response.RELEASE, WORDS)
+        flight.contingency = replace(flight.contingency, target=flight.clock.time + 3.0)
+        respond(flight, Failure(FailureKind.BATTERY_CRITICAL, WORDS, VICTIM))
+        come_to_rest(flight)
+        open_ = windows in {Windows.BOTH, Windows.RELEASE}
+        assert flight.contingency.step is (Step.RELEASE if open_ else Step.DESCEND)
+        assert bool(opened(flight)) == open_
+
+
+def test_the_failure_for_which_the_team_already_holds_is_the_first_cause(folding):
+    flight = standing(folding, Windows.BOTH, Stage.EXECUTE)
+    respond(flight, Failure(FailureKind.SILENT, "vehicle 3 is silent", 2))
+    respond(flight, Failure(FailureKind.LEFT_OFFBOARD, "vehicle 2 left", VICTIM))
+    assert flight.ending.failure == "vehicle 3 is silent; vehicle 2 left"
+    flight = standing(folding, Windows.BOTH, Stage.EXECUTE)
+    respond(flight, Failure(FailureKind.SILENT, "vehicle 2 is silent", VICTIM))
+    respond(flight, Failure(FailureKind.LOST, "vehicle 2 is lost", VICTIM))
+    assert flight.ending.failure == "vehicle 2 is lost"
+
+
 def test_the_table_is_complete():
     assert set(TABLE) == set(FailureKind)
     assert set(ENDS) == set(Response)

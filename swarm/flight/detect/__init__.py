@@ -60,7 +60,7 @@ class Detectors:
         return cls(
             reports=ReportDetector(reported),
             links=LinkDetector(fleet.limits, reported),
-            motion=MotionDetector(n, reported),
+            motion=MotionDetector(n, reported, cable=setup.carries_cable),
             health=HealthDetector(reported, gps=fleet.frame == "gps"),
             heights=HeightDetector(n, reported),
             grip_slip=GripSlipDetector(plan, reported, enabled=carried),

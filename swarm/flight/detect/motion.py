@@ -23,6 +23,13 @@ FALLING, FALLING_SINKING = 5.0, 0.4
 m/s of sinking that it has reached after 0.08 s, so that noise between two reports is none."""
 TURNED_OVER = math.radians(60.0)
 """Roll or pitch; PX4's own failure detector uses the same angle (FD_FAIL_R)."""
+RECOVERY = 1.5
+"""Seconds within which a vehicle that a lost neighbour pulled must recover, after the cable is
+released from it. A PX4 that was tilted to 50° did so within 0.5 s of its release; grippers open
+within as much again, and its own link may be late by 0.5 s."""
+UNHEARD = 0.2
+"""Seconds of silence after which a neighbour may be the vehicle that falls: five reports and more
+are missing. Whether it is received again is known after FALLEN_SILENCE."""
 JUMP = 0.5
 """Metres between a reported position and the one that the report before predicts."""
 LONGEST_STEP = 0.5
@@ -33,12 +40,17 @@ and may still be none."""
 
 
 class MotionDetector:
-    """Detects vehicles that fall, and positions that jump; remembers each vehicle's last report."""
+    """Detects vehicles that fall, and positions that jump; remembers each vehicle's last report.
 
-    def __init__(self, n: int, reported: Latch) -> None:
-        self._reported = reported
+    A vehicle that a lost neighbour pulls by the cable is judged by whether it recovers. Without
+    ``cable`` none is pulled.
+    """
+
+    def __init__(self, n: int, reported: Latch, *, cable: bool) -> None:
+        self._reported, self._carries_cable = reported, cable
         self._last = Measured.of(n)
         self._step = np.zeros(n)
+        self._disturbed: dict[int, tuple[float, bool, bool]] = {}
 
     def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
         """Return the failures of motion at this tick."""
@@ -50,7 +62,9 @@ class MotionDetector:
         if not new:
             return []
         found: list[Finding] = []
-        if not calm:
+        if calm:
+            self._disturbed.clear()
+        else:
             for k in range(len(seen.names)):
                 if expected.armed[k] and not expected.may_land[k] and now.at[k] > last.at[k]:
                     found += self._examine(seen, expected, k)
@@ -71,7 +85,8 @@ class MotionDetector:
         falls = step > 0.04 and (before[2] - up) / step > FALLING and sinking > FALLING_SINKING
         tilt = max(abs(float(seen.attitude[k, 0])), abs(float(seen.attitude[k, 1])))
         if sinking > SINKING or falls or tilt > TURNED_OVER:
-            return self._fallen(seen, k, tilt)
+            return self._fallen(seen, expected, k, tilt, falls=falls)
+        self._disturbed.pop(k, None)
         if step > LONGEST_STEP or k in expected.fallen:
             return []
         predicted = last.reported[k] + 0.5 * step * (before + seen.velocity[k])
@@ -82,13 +97,44 @@ class MotionDetector:
         words = f"{seen.names[k]}'s position jumped by {size:.1f} m: its frame moved"
         return [Failure(FailureKind.POSITION_JUMP, words, k, jump)]
 
-    def _fallen(self, seen: Observation, k: int, tilt: float) -> list[Finding]:
-        """Return which vehicle has fallen: this one, or a silent neighbour that pulls it down."""
-        silent = [j for j in neighbours(seen, k) if seen.silent_for(j) > FALLEN_SILENCE]
-        if silent and tilt <= TURNED_OVER:
-            return fallen_silent(seen, self._reported, silent[0])
+    def _fallen(
+        self, seen: Observation, expected: Expected, k: int, tilt: float, *, falls: bool
+    ) -> list[Finding]:
+        """Return which vehicle has fallen: this one, or a silent neighbour that pulls it.
+
+        A vehicle that sinks without other signs of a fall may do so in a mode of its own choice,
+        which must be reported first.
+        """
+        since, cabled = self._note(seen, k)
+        if cabled and expected.cable in {"lifting", "aloft"}:
+            near = neighbours(seen, k)
+            silent = [j for j in near if seen.silent_for(j) > UNHEARD and j not in expected.fallen]
+            for j in silent:
+                if seen.silent_for(j) > FALLEN_SILENCE and (
+                    found := fallen_silent(seen, self._reported, j)
+                ):
+                    return found
+            earlier = [j for j in near if j in self._disturbed and self._disturbed[j][0] < since]
+            pulled = silent or earlier or not expected.fallen.isdisjoint(near)
+            if pulled and seen.now - since <= RECOVERY:
+                return []
+        turned_over = tilt > TURNED_OVER
+        if not (falls or turned_over) and seen.mode_at[k] <= since:
+            return []
         if not self._reported.first(FailureKind.FALLING, k):
             return []
         sinking = f"descending at {-float(seen.velocity[k, 2]):.1f} m/s"
-        how = "turned over" if tilt > TURNED_OVER else sinking
-        return [Failure(FailureKind.FALLING, f"{seen.names[k]} falls: {how}", k)]
+        what = "falls" if expected.streaming[k] or falls or turned_over else "leaves the team"
+        how = "turned over" if turned_over else sinking
+        return [Failure(FailureKind.FALLING, f"{seen.names[k]} {what}: {how}", k)]
+
+    def _note(self, seen: Observation, k: int) -> tuple[float, bool]:
+        """Return since when a vehicle moves as if it fell, and whether it held the cable then.
+
+        The time begins anew when it lets the cable go.
+        """
+        held = bool(seen.gripped[k])
+        since, before, cabled = self._disturbed.get(k, (seen.now, held, held))
+        since = seen.now if before and not held else since
+        self._disturbed[k] = since, held, cabled
+        return since, cabled and self._carries_cable

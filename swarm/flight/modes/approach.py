@@ -11,6 +11,7 @@ from swarm.flight.detect.standstill import STOPPED_RATE
 from swarm.flight.modes.windows import not_following, unanswering
 from swarm.flight.observing import follow_swing, monitor
 from swarm.flight.pace import advance_clock, allowed_pace
+from swarm.flight.policy import Response
 from swarm.flight.stages import Step
 from swarm.flight.state import Contingency, FlightState
 
@@ -26,11 +27,16 @@ def contingency_of(flight: FlightState) -> Contingency:
 
 
 def stopped(flight: FlightState, contingency: Contingency, message: str) -> Contingency:
-    """Return the contingency of a team that moves no farther along the plan, and report it."""
+    """Return the contingency of a team that moves no farther along the plan, and report it.
+
+    A team that was to release elsewhere releases here only where no cable hangs above a rotor.
+    """
     if contingency.target is None or contingency.step is not Step.APPROACH:
         return contingency
     flight.report("contingency", f"stopping here: {message}")
-    return replace(contingency, target=None)
+    releases = contingency.response is Response.RELEASE
+    response = Response.RELEASE_HERE if releases else contingency.response
+    return replace(contingency, target=None, response=response)
 
 
 def move_on(flight: FlightState) -> Contingency:

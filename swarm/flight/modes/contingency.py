@@ -100,7 +100,7 @@ def release_fallen(flight: FlightState, k: int, message: str) -> None:
     give_up(flight, k)
     if flight.stage is Stage.EXECUTE:
         leave_the_plan(flight, Response.RELEASE_FALLEN, message)
-    elif flight.contingency is not None and len(flight.streams.fallen) == 1:
+    elif flight.contingency is not None:
         _release_fallen(flight)
 
 
@@ -186,16 +186,14 @@ def _release_fallen(flight: FlightState) -> None:
     """Release at fallen vehicles first, then beside them, then everywhere where that is open.
 
     Where cable hangs above a rotor, the vehicles that are not beside a fall keep holding: they come
-    straight down together.
+    straight down together. A team that separates or descends goes on meanwhile.
     """
     fallen = sorted(flight.streams.fallen)
     flight.contingency = replace(
         contingency_of(flight), response=Response.RELEASE_FALLEN, target=None
     )
-    if contingency_of(flight).step in {Step.SEPARATE, Step.DESCEND}:
-        _open_grippers(flight, fallen)
-        return
-    _change_step(flight, StepTrigger.RELEASE)
+    if contingency_of(flight).step in {Step.APPROACH, Step.RELEASE}:
+        _change_step(flight, StepTrigger.RELEASE)
     n = len(flight.roster.vehicles)
     order = [*fallen, *(k for j in fallen for k in (j - 1, j + 1) if 0 <= k < n)]
     if end_of(Response.RELEASE_FALLEN, windows(flight)) is End.RELEASE_FALLEN:
@@ -208,10 +206,10 @@ def _release_fallen(flight: FlightState) -> None:
 def _open_grippers(flight: FlightState, order: Sequence[int]) -> None:
     for k in order:
         vehicle = flight.roster.vehicles[k]
-        if flight.setup.commands_grippers and vehicle.gripped:
-            vehicle.grip(closed=False)
-        else:
+        if not (flight.setup.commands_grippers and vehicle.gripped):
             vehicle.gripped = False
+        elif not vehicle.commands.contains("release"):
+            vehicle.grip(closed=False)
 
 
 def _release(flight: FlightState) -> None:
