@@ -51,7 +51,7 @@ class EmulatorProcess:
         """Write the world file and start; the vehicles send to UDP ``port`` on loopback.
 
         ``clock`` has the time of the world; with ``firmware``, the record has its ground truth.
-        Raises :class:`VehicleError` if it is not ready within ``timeout`` seconds.
+        Raises :class:`VehicleError` if it ends, or is not ready within ``timeout`` seconds.
         """
         path, clock = folder / "world.json", folder.absolute() / "clock.bin"
         self._errors = folder / "emulator.txt"
@@ -90,9 +90,10 @@ class EmulatorProcess:
     def _wait_until_ready(self, timeout: float) -> None:
         """Wait until the vehicles send: flight time begins with them, and may run fast."""
         latest = time.monotonic() + timeout
-        while self._process.poll() is None:
-            if b'"ready"' in self._errors.read_bytes():
-                return
+        while b'"ready"' not in self._errors.read_bytes():
+            ended = self.ended()
+            if ended is not None:
+                raise VehicleError(ended)
             if time.monotonic() >= latest:
                 raise VehicleError(f"the emulator has not started in {timeout:g} s")
             time.sleep(_POLL)

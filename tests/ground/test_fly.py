@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -16,7 +17,7 @@ from pymavlink import mavutil
 from swarm.errors import InputError, VehicleError
 from swarm.flight.world import emulated_world
 from swarm.ground.callbacks import FlightCallbacks
-from swarm.ground.emulator import EmulatorProcess
+from swarm.ground.emulator import EmulatorProcess, RealFirmware
 from swarm.ground.fly import FlyOptions, fly
 from swarm.ground.record_reader import recorded_flight, recorded_plan
 from swarm.ground.sockets import open_links
@@ -244,3 +245,25 @@ def test_an_emulator_that_does_not_start_in_time_is_ended(tmp_path):
     world = emulated_world(FLIGHT_PLAN.plan, emulated_fleet(3), with_cable=False, seed=1)
     with pytest.raises(VehicleError, match="the emulator has not started in 0 s"):
         EmulatorProcess(world, tmp_path, 14999, 1.0, timeout=0.0)
+
+
+def test_an_emulator_that_ends_before_it_is_ready_says_why(tmp_path):
+    program = tmp_path / "arducopter"
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    # an instance whose ports no simulator uses: 9002 + 10 · 222
+    vehicle = {"id": 223, "autopilot": "ardupilot", "pad": [0.0, 0.0, 0.0]}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 11222))
+        with pytest.raises(VehicleError) as caught:
+            EmulatorProcess(
+                {"schema": 1, "vehicles": [vehicle]},
+                tmp_path,
+                14999,
+                1.0,
+                firmware=RealFirmware(f"ardupilot={program}"),
+            )
+    assert str(caught.value) == (
+        "the emulator ended (exit code 3): --firmware: other programs have the ports "
+        "UDP 11222 (vehicle 223)"
+    )
