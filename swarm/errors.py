@@ -44,6 +44,15 @@ def reason(error: BaseException) -> str:
     return text or f"failed without a message ({type(error).__name__})"
 
 
+def shown(value: object) -> str:
+    """Return a wrong value for messages, in at most 60 characters."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no integer of more than 4300 digits
+        text = "a number of thousands of digits"
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return ``: did you mean …?`` with the known name nearest to a name; empty without one.
 

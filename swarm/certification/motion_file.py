@@ -1,8 +1,6 @@
 """External trajectories in the format of ``swarm plan --export``, as a plan to certify."""
 
-import csv
-import json
-import math
+import re
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, get_args
@@ -11,19 +9,19 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.errors import InputError, Problem, SwarmError
+from swarm.files import parse_json
 from swarm.geometry.catenary import sag_for_length
 from swarm.geometry.chain import crossing_gaps, plan_crossings
 from swarm.geometry.motion import through_states
 from swarm.mission import Mission
 from swarm.planning import Gate, KnotLayout, KnotSummary, Phase, PhaseName, Plan
 from swarm.planning.phase_order import declared_cable, phase_order_error
-from swarm.planning.ranges import LARGEST, LATEST, is_number, length_problems, time_problems
+from swarm.planning.ranges import LARGEST, LATEST, length_problems, time_problems
+from swarm.tables import MOST_PROBLEMS, Table, stamp_problem
 
 Floats = npt.NDArray[np.float64]
 
 COLUMNS = ("time", "vehicle", "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "phase")
-MOST_PROBLEMS = 20
-"""Errors that are reported at once: about a terminal page."""
 
 _RELEASE_TIMEOUT = 20.0
 """Seconds at the gate of the release, as in planned flights."""
@@ -45,30 +43,32 @@ def read_motion(text: str, source: str) -> MotionFile:
     The order determines when the cable is gripped and released. Raises
     :class:`InputError` with up to MOST_PROBLEMS problems, each with its line.
     """
-    reader = csv.DictReader(text.splitlines())
-    missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
-    if missing:
-        raise InputError(
-            [Problem(f"{source}: line 1", f"expected the columns {', '.join(missing)}")]
-        )
-    problems: list[Problem] = []
+    table = Table(text, source)
+    columns = table.find(_UNITS)
+    vehicle_column, phase_column = (columns[COLUMNS.index(word)] for word in _WORDS)
     times: list[float] = []
     phases: list[PhaseName] = []
     rows: list[list[list[float]]] = []
-    for line, row in enumerate(reader, start=2):
-        try:
-            time, *state = (_finite(row[name], name) for name in COLUMNS if name not in _WORDS)
-            vehicle, phase = _vehicle(row["vehicle"]), _phase(row["phase"])
-        except ValueError as error:
-            problems.append(Problem(f"{source}: line {line}", str(error)))
-            if len(problems) == MOST_PROBLEMS:
-                break
+    for line, cells in table:
+        known = len(table.problems)
+        time, *state = (
+            table.number(line, cells, column, name, least, most)
+            for name, column, (least, most) in zip(COLUMNS, columns, _RANGES, strict=True)
+            if name not in _WORDS
+        )
+        if stamp := stamp_problem(cells[columns[0]]):
+            raise InputError([Problem(table.place(line, columns[0]), f"time: {stamp}")])
+        vehicle, phase = _vehicle(cells[vehicle_column]), _phase(cells[phase_column])
+        if vehicle is None:
+            table.wrong(line, cells, vehicle_column, "vehicle", "1, 2, … along the cable")
+        if phase is None:
+            names = f"one of {', '.join(get_args(PhaseName))}"
+            table.wrong(line, cells, phase_column, "phase", names)
+        if len(table.problems) > known or vehicle is None or phase is None:
             continue
         wrong = _phase_problem(phases, phase, vehicle)
         if wrong:
-            problems.append(Problem(f"{source}: line {line}", f"phase: {wrong}"))
-            if len(problems) == MOST_PROBLEMS:
-                break
+            table.add(Problem(table.place(line, phase_column), f"phase: {wrong}"))
         if vehicle == 1:
             times.append(time)
             phases.append(phase)
@@ -78,42 +78,25 @@ def read_motion(text: str, source: str) -> MotionFile:
             if rows:
                 expected = f"vehicle {len(rows[-1]) + 1} at {times[-1]:g} s or vehicle 1 later"
             message = f"expected {expected}, got {vehicle} at {time:g} s"
-            raise InputError([*problems, Problem(f"{source}: line {line}", message)])
+            raise InputError([*table.problems, Problem(f"{source}: line {line}", message)])
         rows[-1].append(state)
-    problems += [] if problems else _shape_problems(source, times, rows)
-    if problems:
+    table.finish()
+    if problems := _shape_problems(source, times, rows):
         raise InputError(problems)
     return MotionFile(np.array(times), np.array(rows), tuple(phases))
 
 
-_WORDS = {"vehicle", "phase"}
+_WORDS = ("vehicle", "phase")
+_UNITS = dict(zip(COLUMNS, ("s", "", *3 * ["m"], *3 * ["m/s"], *3 * ["m/s2"], ""), strict=True))
+_RANGES = ((-LATEST, LATEST), *[(-LARGEST, LARGEST)] * (len(COLUMNS) - 1))
 
 
-def _finite(text: str | None, name: str) -> float:
-    try:
-        value = float(text or "")
-    except ValueError:
-        raise ValueError(f"{name}: expected a number, got {text!r}") from None
-    if not math.isfinite(value):
-        raise ValueError(f"{name}: expected a finite number, got {text!r}")
-    largest = LATEST if name == "time" else LARGEST
-    if abs(value) > largest:
-        raise ValueError(f"{name}: expected at most ±{largest:g}, got {text!r}")
-    return value
+def _vehicle(text: str) -> int | None:
+    return int(text) if re.fullmatch(r"[0-9]{1,4}", text) and int(text) else None
 
 
-def _vehicle(text: str | None) -> int:
-    if text is None or not text.strip().isdecimal() or int(text) < 1:
-        raise ValueError(f"vehicle: expected 1, 2, … along the cable, got {text!r}")
-    return int(text)
-
-
-def _phase(text: str | None) -> PhaseName:
-    name = (text or "").strip()
-    for known in get_args(PhaseName):
-        if name == known:
-            return known  # type: ignore[no-any-return]
-    raise ValueError(f"phase: expected one of {', '.join(get_args(PhaseName))}, got {text!r}")
+def _phase(text: str) -> PhaseName | None:
+    return next((known for known in get_args(PhaseName) if text == known), None)
 
 
 def _phase_problem(phases: list[PhaseName], phase: PhaseName, vehicle: int) -> str | None:
@@ -145,26 +128,39 @@ def read_lengths(text: str, source: str) -> Floats:
     """Read the segments' lengths in metres, in order along the cable.
 
     JSON: a list, an object with ``segments``, or one with ``cable.segments`` as ``swarm plan
-    --json`` prints it. CSV: one length per line, a heading is allowed. Raises :class:`InputError`.
+    --json`` prints it. A table: one column of lengths, or a heading with the column ``length``.
+    Raises :class:`InputError`.
     """
+    values: list[Any]
     if text.lstrip()[:1] in {"[", "{"}:
         values = _listed(text, source)
     else:
-        values = [cells[-1].strip() for cells in csv.reader(text.splitlines()) if any(cells)]
-        if values and not is_number(values[0]):
-            values = values[1:]
+        values = _tabulated(Table(text, source))
     wrong = length_problems(values, source)
     if wrong or not values:
         raise InputError(wrong[:MOST_PROBLEMS] or [Problem(source, "expected lengths, got none")])
     return np.array([float(value) for value in values])
 
 
+def _tabulated(table: Table) -> list[float]:
+    """Return the lengths of a table."""
+    if table.heading:
+        (column,) = table.find({"length": "m"})
+    elif table.columns > 1:
+        message = f"expected one column of lengths, or a heading with length, got {table.columns} "
+        message += "columns; a decimal comma needs semicolons or tabs between columns, or quotes"
+        raise InputError([Problem(f"{table.source}: line {table.heading_line}, column 2", message)])
+    else:
+        column = 0
+    values = [table.number(line, cells, column, "", 0.0, LARGEST) for line, cells in table]
+    table.finish()
+    return values
+
+
 def _listed(text: str, source: str) -> list[Any]:
-    try:
-        document = json.loads(text)
-    except json.JSONDecodeError as error:
-        place = f"{source}: line {error.lineno}, column {error.colno}"
-        raise InputError([Problem(place, f"not JSON: {error.msg}")]) from None
+    document = parse_json(text, source)
+    if isinstance(document, dict) and {"cable", "segments"} <= document.keys():
+        raise InputError([Problem(source, "expected segments or cable, got both")])
     if isinstance(document, dict):
         document = document.get("cable", document)
     if isinstance(document, dict):

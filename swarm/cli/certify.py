@@ -63,6 +63,7 @@ def certify(
     overrides = (*overrides, *(f"clearance.{clearance}" for clearance in clearances))
     trajectory = Motion.from_csv(motion)
     segments = Cable.from_file(cable)
+    _print_read(motion, trajectory, cable, segments)
     limits = _limits(mission, overrides)
     with progress_bar(Console(stderr=True)) as progress:
         assessment = certify_motion(
@@ -73,6 +74,15 @@ def certify(
     else:
         print_findings(assessment.findings, Console())
     context.exit(0 if assessment.cleared else 1)
+
+
+def _print_read(motion: Path, trajectory: Motion, cable: Path, segments: Cable) -> None:
+    """Print what was read on stderr, for comparison with what was meant."""
+    times, vehicles = trajectory.table.states.shape[:2]
+    start, end = trajectory.table.time[[0, -1]]
+    count, total = len(segments.lengths), sum(segments.lengths)
+    click.echo(f"{motion}: {vehicles} vehicles, {times} times, {start:g} to {end:g} s", err=True)
+    click.echo(f"{cable}: {count} segment{'s'[: count > 1]}, {total:.3f} m in total", err=True)
 
 
 def _limits(mission: Path | None, overrides: tuple[str, ...]) -> Mission:

@@ -139,6 +139,8 @@ def _check_table(as_json: bool) -> int:
 def identify(file: Path, closed: bool, as_json: bool) -> None:
     """Identify the knot of the curve in FILE: rows of x, y, z, or columns with these names.
 
+    An index that counts by one may come before x, y, z.
+
     The ends of an open curve are extended straight up and joined above it.
 
     Example: swarm identify curve.csv --closed

@@ -1,6 +1,5 @@
 """Certificates of plans and of external trajectories."""
 
-import csv
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -62,16 +61,14 @@ class Cable:
     def from_file(cls, path: str | os.PathLike[str]) -> Self:
         """Read the lengths of the segments in metres from a JSON or CSV file.
 
-        JSON: a list, or the JSON of a plan. CSV: one length per line, with or without a heading.
+        JSON: a list, or the JSON of a plan. CSV: one length per line, or a heading with the column
+        length.
         Raises :class:`swarm.InputError` with each wrong length.
 
         Source: :func:`swarm.certification.motion_file.read_lengths`.
         """
-        name = os.fspath(path)
-        try:
-            return cls(tuple(read_lengths(read_text(path, LARGEST_FILE), name).tolist()))
-        except csv.Error as error:
-            raise InputError([Problem(name, f"not valid CSV: {error}")]) from None
+        lengths = read_lengths(read_text(path, LARGEST_FILE), os.fspath(path))
+        return cls(tuple(lengths.tolist()))
 
     def section(self, default: CableSection) -> CableSection:
         """Return the cable section of a mission; ``default`` has the values that are None."""
@@ -105,11 +102,7 @@ class Motion(Quintics):
 
         Source: :func:`swarm.certification.motion_file.read_motion`.
         """
-        name = os.fspath(path)
-        try:
-            rows = read_motion(read_text(path, LARGEST_MOTION), name)
-        except csv.Error as error:
-            raise InputError([Problem(name, f"not valid CSV: {error}")]) from None
+        rows = read_motion(read_text(path, LARGEST_MOTION), os.fspath(path))
         motion = through_states(rows.time, *np.split(rows.states, 3, axis=-1))
         return cls(motion.times, motion.coefficients, table=rows)
 

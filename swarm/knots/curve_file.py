@@ -1,20 +1,17 @@
 """Curves in text files: points in rows of x, y, z."""
 
-import csv
-from collections.abc import Iterator
-from math import isfinite
+import re
 
 import numpy as np
 from numpy.typing import NDArray
 
-from swarm.errors import InputError, Problem
+from swarm.errors import InputError, Problem, shown
 from swarm.knots.curve_defects import find_defect
 from swarm.knots.gauss import KnotError
 from swarm.knots.invariants import Identification, identify_curve
+from swarm.tables import Table
 
-_SHOWN = 80
-"""Characters of a wrong entry in a message."""
-_MAX_PROBLEMS = 10
+_INDEX = re.compile(r"[0-9]{1,9}")
 
 
 def identify_text(text: str, source: str, *, closed: bool) -> tuple[Identification, int]:
@@ -38,62 +35,36 @@ def identify_text(text: str, source: str, *, closed: bool) -> tuple[Identificati
 def parse_curve(text: str, source: str) -> tuple[NDArray[np.float64], list[int]]:
     """Return points (n, 3) and their line numbers.
 
-    A row has three numbers, or a header names the columns x, y and z. Commas, semicolons or spaces
-    separate; lines that begin with # are comments. Raises :class:`InputError` with each wrong line
-    (at most ten).
+    A row has three numbers, or an index that counts by one before them, or a heading names the
+    columns x, y and z. Commas, semicolons, tabs or spaces separate; lines that begin with # are
+    comments. Raises :class:`InputError` with each wrong line (at most MOST_PROBLEMS).
     """
-    lines = list(_fields(text))
-    columns, width = (0, 1, 2), 3
-    if lines and not any(map(_is_number, lines[0][1])):
-        columns, width = _header(*lines.pop(0), source)
+    table = Table(text, source, spaces=True)
+    indexed, start = not table.heading and table.columns == 4, 1
+    if table.heading:
+        columns = table.find({"x": "m", "y": "m", "z": "m"})
+    elif table.columns in {0, 3, 4}:
+        columns = (1, 2, 3) if indexed else (0, 1, 2)
+    else:
+        message = "expected three numbers, an index and three numbers, or a heading with x, y and "
+        message += f"z, got {table.columns} entries"
+        if table.columns == 1:
+            message += "; the .xyz of a molecule has no curve"
+        raise InputError([Problem(f"{source}: line {table.heading_line}", message)])
     rows: list[list[float]] = []
-    line_numbers: list[int] = []
-    problems: list[Problem] = []
-    for number, fields in lines:
-        where = f"{source}: line {number}"
-        if len(fields) != width:
-            problems.append(Problem(where, f"expected {width} numbers, got {len(fields)} entries"))
-            continue
-        chosen = [fields[column] for column in columns]
-        wrong = [field for field in chosen if not _is_number(field) or not isfinite(float(field))]
-        if wrong:
-            problems.append(Problem(where, f'expected finite numbers, got "{wrong[0][:_SHOWN]}"'))
-        else:
-            rows.append([float(field) for field in chosen])
-            line_numbers.append(number)
-    if len(rows) < 3 and not problems:
-        problems.append(Problem(source, f"expected at least 3 points, got {len(rows)}"))
-    if problems:
-        raise InputError(problems[:_MAX_PROBLEMS])
-    return np.array(rows), line_numbers
-
-
-def _header(number: int, header: list[str], source: str) -> tuple[tuple[int, int, int], int]:
-    """Return the columns of x, y and z, and the number of all columns."""
-    names = [field.lower() for field in header]
-    if not {"x", "y", "z"} <= set(names):
-        got = ", ".join(header)[:_SHOWN]
-        message = f"expected numbers, or columns called x, y and z, got {got}"
-        raise InputError([Problem(f"{source}: line {number}", message)])
-    return (names.index("x"), names.index("y"), names.index("z")), len(names)
-
-
-def _fields(text: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield line number and entries of each line that is neither empty nor a comment."""
-    for number, line in enumerate(text.removeprefix("\ufeff").splitlines(), 1):
-        bare = line.strip()
-        if bare and not bare.startswith("#"):
-            separated = "," in bare or ";" in bare
-            try:
-                entries = next(csv.reader([bare.replace(";", ",")])) if separated else bare.split()
-            except csv.Error:
-                entries = [bare]  # one entry is longer than any number
-            yield number, [entry.strip() for entry in entries]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    lines: list[int] = []
+    for line, cells in table:
+        rows.append([table.number(line, cells, column) for column in columns])
+        lines.append(line)
+        if indexed:
+            start = start if len(rows) > 1 else int(cells[0]) if _INDEX.fullmatch(cells[0]) else 1
+            if cells[0] != str(start + len(rows) - 1):
+                message = (
+                    f"expected the index {start + len(rows) - 1}, since there are four columns "
+                )
+                message += f"without a heading, got {shown(cells[0])}"
+                raise InputError([*table.problems, Problem(table.place(line, 0), message)])
+    if len(rows) < 3 and not table.problems:
+        table.add(Problem(source, f"expected at least 3 points, got {len(rows)}"))
+    table.finish()
+    return np.array(rows), lines

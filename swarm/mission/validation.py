@@ -18,7 +18,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import ScalarNode
 from ruamel.yaml.resolver import VersionedResolver
 
-from swarm.errors import InputError, Problem, nearest
+from swarm.errors import InputError, Problem, nearest, shown
 from swarm.mission.units import other_unit
 from swarm.mission.yaml_lines import key_lines, line_of
 
@@ -180,7 +180,7 @@ def validate(
     ``source:line: key.path``.
     """
     if not isinstance(document, Mapping):
-        raise InputError([Problem(source, f"expected a mapping of keys, got {_shown(document)}")])
+        raise InputError([Problem(source, f"expected a mapping of keys, got {shown(document)}")])
     try:
         return model.model_validate(document)
     except ValidationError as error:
@@ -217,7 +217,7 @@ def _problem(
 ) -> Problem:
     keys, field = _named_field(model, item["loc"])
     place = place_of(source, keys, lines)
-    got = f"got {_shown(item['input'])}"
+    got = f"got {shown(item['input'])}"
     match item["type"]:
         case "extra_forbidden":
             return Problem(place, f"unknown key, {got}{_nearest_key(model, keys)}")
@@ -328,8 +328,3 @@ def _violated(expected: str, value: Any, most: Any) -> str:
     if value > most:
         return re.sub(r">=? \S+ and (?=<= )", "", expected)
     return re.sub(r" and <= \S+", "", expected)
-
-
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."

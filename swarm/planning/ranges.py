@@ -6,11 +6,12 @@ own (:mod:`swarm.mission.sections`).
 
 from collections.abc import Sequence
 from itertools import pairwise
+from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm.errors import Problem
+from swarm.errors import Problem, shown
 from swarm.geometry.motion import Motion
 
 Floats = npt.NDArray[np.float64]
@@ -76,17 +77,8 @@ def length_problems(lengths: Sequence[object], place: str) -> list[Problem]:
     return [
         Problem(
             f"{place}: segment {number}",
-            f"expected a length > 0 and <= {LARGEST:g} in metres, got {length!r}",
+            f"expected a length > 0 and <= {LARGEST:g} in metres, got {shown(length)}",
         )
         for number, length in enumerate(lengths, start=1)
-        if isinstance(length, bool) or not is_number(length) or not 0.0 < float(length) <= LARGEST  # type: ignore[arg-type]
+        if isinstance(length, bool) or not isinstance(length, Real) or not 0.0 < length <= LARGEST
     ]
-
-
-def is_number(value: object) -> bool:
-    """Return whether a value is a number, or text of one."""
-    try:
-        float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        return False
-    return True

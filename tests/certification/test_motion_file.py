@@ -43,10 +43,10 @@ def test_an_exported_plan_is_imported_as_the_same_motion(overhand, overhand_asse
 def test_every_error_has_its_line():
     lines = [HEADER, row(0, 1), row(0, 2, "folding", 2), row("nan", 1), row(0.1, "x")]
     assert problems("\n".join(lines)) == [
-        "m.csv: line 3: phase: expected one of takeoff, grab, contract, lift, fold, hold, unfold, "
+        "m.csv: line 3, column 12: phase: expected one of takeoff, grab, contract, lift, fold, hold, unfold, "
         "lower, spread, descend, tighten, finish, land, got 'folding'",
-        "m.csv: line 4: time: expected a finite number, got 'nan'",
-        "m.csv: line 5: vehicle: expected 1, 2, … along the cable, got 'x'",
+        "m.csv: line 4, column 1: time: expected a finite number, got 'nan'",
+        "m.csv: line 5, column 2: vehicle: expected 1, 2, … along the cable, got 'x'",
     ]
 
 
@@ -55,7 +55,8 @@ def test_every_error_has_its_line():
     [
         (
             ["time,vehicle,x"],
-            "m.csv: line 1: expected the columns y, z, vx, vy, vz, ax, ay, az, phase",
+            "m.csv: line 1: expected the columns y, z, vx, vy, vz, ax, ay, az, phase, got "
+            "'time, vehicle, x'",
         ),
         ([HEADER], "m.csv: expected at least 2 times, got 0"),
         ([HEADER, row(0, 1), row(1, 1)], "m.csv: expected at least 2 vehicles, got 1"),
@@ -86,11 +87,11 @@ def test_a_table_of_the_wrong_shape(lines, message):
     [
         (
             [row(0, 1, x="1e300"), row(0, 2)],
-            "m.csv: line 2: x: expected at most ±10000, got '1e300'",
+            "m.csv: line 2, column 3: x: expected -10000 to 10000, got '1e300'",
         ),
         (
             [row(t, v, x=2 * v) for t in (-(2.0**53), 8 - 2.0**53) for v in (1, 2)],
-            "m.csv: line 2: time: expected at most ±1e+06, got '-9007199254740992.0'",
+            "m.csv: line 2, column 1: time: expected -1e+06 to 1e+06, got '-9007199254740992.0'",
         ),
         (
             [row(t, v, x=2 * v) for t in (0, 1e-9) for v in (1, 2)],
@@ -99,6 +100,11 @@ def test_a_table_of_the_wrong_shape(lines, message):
         (
             [row(t, v, x=2 * v) for t in (0, 2e4) for v in (1, 2)],
             "m.csv: expected at most 14400 s of motion, got 20000 s",
+        ),
+        (
+            [row(t, v, x=2 * v) for t in (1.7e9, 1.7e9 + 13.0) for v in (1, 2)],
+            "m.csv: line 2, column 1: time: expected seconds from the start, got 1700000000.0: a "
+            "Unix stamp in seconds",
         ),
     ],
 )
@@ -175,13 +181,16 @@ def files(tmp_path):
 def test_the_command_clears_and_refuses_with_its_exit_code(files):
     cleared = CliRunner().invoke(certify, [*files, "--json"])
     assert cleared.exit_code == 0, cleared.output
-    shown = json.loads(cleared.output)
+    shown = json.loads(cleared.stdout)
     assert shown["cleared"] is True
+    assert cleared.stderr == (
+        f"{files[0]}: 2 vehicles, 121 times, 0 to 6 s\n{files[2]}: 1 segment, 3.000 m in total\n"
+    )
     assert shown["knot"]["type"] == "0_1"
     assert shown["clearance"]["vehicle"]["between"] == ["vehicle 1", "vehicle 2"]
     refused = CliRunner().invoke(certify, [*files, "--json", "--clearance", "vehicle=2.6"])
     assert refused.exit_code == 1
-    wrong = [f for f in json.loads(refused.output)["findings"] if f["severity"] == "error"]
+    wrong = [f for f in json.loads(refused.stdout)["findings"] if f["severity"] == "error"]
     assert [finding["check"] for finding in wrong] == ["vehicle clearance"]
 
 

@@ -132,12 +132,15 @@ def test_columns_may_be_named_and_more(tmp_path: Path) -> None:
             "0 0 0\n1 0 0\n1 0 1\n0 0 1\n0 0 2\n1 0 2\n",
             "the curve, closed straight up from its ends, is degenerate from every side: two strands",
         ),
-        ("0,0,0\n1,0\n", "line 2: expected 3 numbers, got 2 entries"),
-        ("0,0,0\n1,nan,0\n", 'line 2: expected finite numbers, got "nan"'),
-        ("0,0,0\n1,one,0\n", 'line 2: expected finite numbers, got "one"'),
-        ("a,b,c\n1,2,3\n", "line 1: expected numbers, or columns called x, y and z, got a, b, c"),
-        ("0 0 0\n1 0 x\n2\n", "line 2: expected finite numbers"),
-        ("0,0,0\n" + "7" * 200_000 + ",1,2\n", "line 2: expected 3 numbers, got 1 entries"),
+        ("0,0,0\n1,0\n", "line 2: expected as many columns as line 1 has (3), got 2"),
+        ("0,0,0\n1,nan,0\n", "line 2, column 2: expected a finite number, got 'nan'"),
+        ("0,0,0\n1,one,0\n", "line 2, column 2: expected a number, got 'one'"),
+        ("a,b,c\n1,2,3\n", "line 1: expected the columns x, y, z, got 'a, b, c'"),
+        ("0 0 0\n1 0 x\n2\n", "line 2, column 3: expected a number, got 'x'"),
+        (
+            "0,0,0\n" + "7" * 200_000 + ",1,2\n",
+            "line 2: not a table: field larger than field limit (131072)",
+        ),
     ],
 )
 def test_invalid_files(tmp_path: Path, text: str, message: str) -> None:
