@@ -11,9 +11,10 @@ import pytest
 
 from swarm.front import plan_cache
 from swarm.front.files import load_mission
-from swarm.planner import plan
+from swarm.planner import PlanningResult, plan
 from swarm.planning import digest
 from tests.command import run
+from tests.test_certified_plan_files import forged, reviewed
 
 HOVER = str(Path(__file__).parents[1] / "missions" / "first-steps" / "hover.yaml")
 _BEFORE = r"Planned before \(\d{4}-\d\d-\d\d \d\d:\d\d\); --replan plans again\n"
@@ -83,6 +84,21 @@ def test_a_corrupt_entry_is_removed_and_planned_again(folder, damage):
     assert entry.read_bytes() == data
 
 
+def test_nothing_is_certified_because_an_entry_says_so(folder):
+    certified = reviewed()
+    mission = certified.plan.mission
+    plan_cache.store(mission, PlanningResult(certified.plan, certified.certificate))
+    assert plan_cache.find(mission)[0].assessment.robustness == certified.assessment.robustness
+    (entry,) = entries(folder)
+
+    def change(document) -> None:
+        document["robustness"]["tracking"] = document["max_tracking_error"] = 0.9
+
+    entry.write_bytes(forged("certificate.json", change))
+    assert plan_cache.find(mission) is None
+    assert entries(folder) == []
+
+
 def test_refused_plans_are_not_kept(folder):
     assert run("plan", HOVER, "--set", "workspace.ceiling=3.5", "--json").returncode == 1
     assert not folder.exists()
@@ -126,7 +142,7 @@ _STORE_AND_FIND = """
 import sys
 from swarm.front import plan_cache
 from swarm.front.files import load_mission
-from swarm.planner import plan
+from swarm.planner import PlanningResult, plan
 mission = load_mission(sys.argv[1])
 planned = plan(mission)
 for _ in range(20):

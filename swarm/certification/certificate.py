@@ -159,18 +159,16 @@ def certify_robustness(
 
 
 def with_recorded_robustness(
-    plan: Plan, certificate: Certificate, recorded: Robustness, *, confirm: bool
+    plan: Plan, certificate: Certificate, recorded: Robustness
 ) -> Certificate:
     """Return the certificate with e* and w* that were computed before.
 
-    With ``confirm``, each is shown again to hold, and left out (None) where it does not. Without
-    ``confirm``, the recorded values are used unchecked: right for the user's own cache alone.
+    Each is shown again to hold, and left out (None) where it does not.
 
     Raises :class:`Refused` where the certificate belongs to another plan.
     """
     require_same_plan(plan, certificate)
-    robustness = confirmed(plan, recorded) if confirm else recorded
-    found = replace(certificate.assessment, robustness=robustness)
+    found = replace(certificate.assessment, robustness=confirmed(plan, recorded))
     return replace(certificate, assessment=found, key=_CONSTRUCTION_KEY)
 
 

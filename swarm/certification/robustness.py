@@ -18,7 +18,7 @@ from swarm.certification.clearances import (
 from swarm.certification.family import ROOT, Family
 from swarm.certification.minima import failing, whole_strands
 from swarm.planning import Plan
-from swarm.threads import side_by_side
+from swarm.threads import both, side_by_side
 
 Progress = Callable[[str, float], None]
 
@@ -87,10 +87,11 @@ def confirmed(plan: Plan, recorded: Robustness) -> Robustness:
     One search each, without looking for larger values: about half of the time to compute them.
     """
     tracking, wind = recorded.tracking, recorded.wind
-    return Robustness(
-        tracking if tracking is not None and certified(plan, tracking=tracking) else None,
-        wind if wind is not None and failure_in_wind(plan, wind) is None else None,
+    held, calm = both(
+        lambda: tracking is not None and certified(plan, tracking=tracking),
+        lambda: wind is not None and failure_in_wind(plan, wind) is None,
     )
+    return Robustness(tracking if held else None, wind if calm else None)
 
 
 def failure_in_wind(plan: Plan, speed: float) -> tuple[str, tuple[str, str], float] | None:

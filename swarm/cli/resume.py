@@ -7,10 +7,11 @@ from pathlib import Path
 import click
 from rich.console import Console
 
+from swarm.certification.certificate import without_cable
 from swarm.cli.flight_session import Viewer, displays, end_flight
 from swarm.cli.planning import prepare_flight
 from swarm.errors import Refused
-from swarm.flight.flight_plan import ResumedFlight
+from swarm.flight.flight_plan import ResumedFlight, confirmed_basis
 from swarm.flight.resuming import left_off
 from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.flight_process import FlightRequest, fly_in_process
@@ -23,6 +24,7 @@ from swarm.ground.record_reader import (
     recorded_log,
     recorded_plan,
 )
+from swarm.planner import certify_again
 
 LARGEST_LOG = 1 << 30
 """Bytes of the packets of the interrupted flight."""
@@ -66,4 +68,9 @@ def resume_flight(
             read_keys=sys.stdin.isatty(),
             low_priority=True,
         )
-    end_flight(context, plan, assessment, result, folder, as_json=as_json)
+    # What the report states as certified is shown again: now there is time for it.
+    again = certify_again(plan if basis.cable else without_cable(plan), assessment.robustness)
+    basis = confirmed_basis(plan, result.basis)
+    kept = replace(result.adherence, certified=basis.max_tracking_error)
+    result = replace(result, basis=basis, adherence=kept)
+    end_flight(context, plan, again.assessment, result, folder, as_json=as_json)

@@ -11,12 +11,14 @@ from typing import Any, get_args
 import numpy as np
 
 from swarm.certification.assessment import Assessment, Robustness, Tightest
-from swarm.certification.findings import Finding
-from swarm.errors import InputError
+from swarm.certification.findings import Finding, Severity
+from swarm.certification.robustness import MOST_TRACKING, MOST_WIND
+from swarm.errors import InputError, Problem, shown
 from swarm.exports import finding_object, tightest_object
 from swarm.flight.flight_plan import Basis, Kind
 from swarm.flight.tlog import KnownFrames
 from swarm.mavlink.frames import Frames
+from swarm.mission.sections import LARGEST_TRACKING
 from swarm.planning import Plan
 from swarm.planning.archive import READ_ERRORS
 
@@ -48,6 +50,10 @@ def read_certificate(
         basis = Basis(**{field.name: document[field.name] for field in fields(Basis)})
         if not isinstance(basis.cable, bool) or basis.kind not in get_args(Kind):
             raise ValueError("cable or kind is none of its values")
+        _require_range(source, "max_tracking_error", basis.max_tracking_error, LARGEST_TRACKING)
+        for name, most in (("tracking", MOST_TRACKING), ("wind", MOST_WIND)):
+            recorded = document["robustness"][name]
+            _require_range(source, f"robustness.{name}", recorded, most)
         return basis, Assessment(
             findings=tuple(_read_finding(finding) for finding in document["findings"]),
             cable=_read_tightest(document["clearance"]["cable"]),
@@ -60,6 +66,13 @@ def read_certificate(
         )
     except READ_ERRORS as error:
         raise InputError(f"{source} cannot be read: {error}") from None
+
+
+def _require_range(source: str, key: str, value: Any, most: float) -> None:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if value is not None and not (number and 0.0 <= value <= most):
+        message = f"expected null or a number from 0 to {most:g}, got {shown(value)}"
+        raise InputError([Problem(f"{source}: {key}", message)])
 
 
 def frames_document(known: KnownFrames) -> dict[str, Any]:
@@ -96,11 +109,14 @@ def _read_finding(document: Mapping[str, Any]) -> Finding:
     # older records have the keys at_time and where
     where = document["position"] if "position" in document else document["where"]
     x, y, z = where if where is not None else (0.0, 0.0, 0.0)
+    time = document["time"] if "time" in document else document["at_time"]
+    if document["severity"] not in get_args(Severity):
+        raise ValueError("a severity that does not exist")
     return Finding(
         document["severity"],
         str(document["check"]),
         str(document["message"]),
-        document["time"] if "time" in document else document["at_time"],
+        None if time is None else float(time),
         None if where is None else (float(x), float(y), float(z)),
     )
 

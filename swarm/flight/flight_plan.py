@@ -16,6 +16,7 @@ from swarm.certification.certificate import (
     require_same_plan,
     without_cable,
 )
+from swarm.certification.clearances import certified
 from swarm.certification.stream_loss import StreamLossCertificate
 from swarm.errors import Refused
 from swarm.mission.fleet import Fleet
@@ -191,6 +192,20 @@ def require_tracking(basis: Basis, fleet: Fleet) -> None:
             f"the plan holds up to {rounded_down(most, 3):g} m: plan again with swarm plan "
             "--fleet"
         )
+
+
+def confirmed_basis(plan: Plan, recorded: Basis) -> Basis:
+    """Return a recorded basis with a tracking error for which clearances are shown again to hold.
+
+    That is the recorded one; the mission's own where that does not hold; None where neither does.
+    """
+    most = recorded.max_tracking_error
+    if most is None:
+        return recorded
+    checked = plan if recorded.cable else without_cable(plan)
+    errors = sorted({most, min(most, plan.mission.vehicles.tracking)}, reverse=True)
+    held = (error for error in errors if certified(checked, tracking=error))
+    return replace(recorded, max_tracking_error=next(held, None))
 
 
 def max_tracking_error(plan: Plan, found: Assessment) -> float:

@@ -1,9 +1,9 @@
 """Plans that were computed before, in the user's cache.
 
 An entry is a plan file. Its name is a digest of the mission, of the sources of the planner and of
-its libraries, so that another version plans again. An entry is certified again when it is read;
-e* and w* alone are taken from it: who can write to the folder can also replace the machine code
-that is kept beside it. Several processes may use the folder at the same time.
+its libraries, so that another version plans again. An entry is certified again when it is read, e*
+and w* too: it saves the search for the plan and for their largest values, and no check. Several
+processes may use the folder at the same time.
 """
 
 import hashlib
@@ -52,7 +52,7 @@ def find(
     if not 0.0 <= time.time() - computed <= KEPT or len(data) > LARGEST_PLAN:
         return None
     try:
-        planned = read_certified(data, str(path), progress, confirm=False)
+        planned = read_certified(data, str(path), progress)
         if planned.plan.mission != mission:
             raise InputError("the plan of another mission")
     except SwarmError:

@@ -7,14 +7,12 @@ from the plan in the file, and the file is refused where they do not agree with 
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from typing import Any
 
-from swarm.certification.assessment import Assessment, Robustness
+from swarm.certification.assessment import Assessment
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding
 from swarm.certification.minima import TOLERANCE
-from swarm.certification.robustness import MOST_TRACKING, MOST_WIND
 from swarm.errors import InputError, Problem
 from swarm.files import read_bytes
 from swarm.flight.archive import certificate_document, read_certificate
@@ -46,13 +44,10 @@ def load_certified(
     return read_certified(read_bytes(path, LARGEST_PLAN), os.fspath(path), progress)
 
 
-def read_certified(
-    data: bytes, source: str, progress: Progress | None = None, *, confirm: bool = True
-) -> PlanningResult:
+def read_certified(data: bytes, source: str, progress: Progress | None = None) -> PlanningResult:
     """Return the plan of bytes from :func:`certified_plan_file`, certified again.
 
-    With ``confirm``, the recorded e* and w* are shown to hold again; without, they are taken as
-    recorded. ``source`` names the file in errors.
+    The recorded e* and w* are shown to hold again. ``source`` names the file in errors.
 
     Raises :class:`InputError` for another, incomplete or changed file, for one without a
     certificate, and where the recorded certificate is not the one of the recorded plan.
@@ -67,13 +62,12 @@ def read_certified(
     if (basis.kind, basis.digest) != ("certified", name):
         message = f"expected that of this plan ({name}), got {basis.kind} ({basis.digest})"
         raise InputError([Problem(place, message)])
-    recorded = replace(recorded, robustness=_in_range(recorded.robustness, place))
     most = max_tracking_error(found.plan, recorded)
     if basis.max_tracking_error != most:
         message = f"expected {most:g}, the larger of e* and vehicles.tracking, got "
         message += f"{basis.max_tracking_error}"
         raise InputError([Problem(f"{place}: max_tracking_error", message)])
-    planned = certify_again(found.plan, recorded.robustness, progress, confirm=confirm)
+    planned = certify_again(found.plan, recorded.robustness, progress)
     if not planned.certificate.cleared:
         errors = [one for one in planned.assessment.findings if one.severity == "error"]
         raise InputError([Problem(f"{place}: {one.check}", one.message) for one in errors])
@@ -81,18 +75,6 @@ def read_certified(
     if problems:
         raise InputError(problems)
     return planned
-
-
-def _in_range(recorded: Robustness, place: str) -> Robustness:
-    for name, value, most in (
-        ("tracking", recorded.tracking, MOST_TRACKING),
-        ("wind", recorded.wind, MOST_WIND),
-    ):
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if value is not None and not (number and 0.0 <= value <= most):
-            message = f"expected null or a number from 0 to {most:g}, got {value!r}"
-            raise InputError([Problem(f"{place}: robustness.{name}", message)])
-    return recorded
 
 
 def _differences(

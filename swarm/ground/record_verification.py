@@ -6,7 +6,7 @@ from pathlib import Path
 from swarm.certification.assess import assess
 from swarm.certification.assessment import Assessment
 from swarm.flight.adherence import Adherence, adherence
-from swarm.flight.flight_plan import Basis
+from swarm.flight.flight_plan import Basis, confirmed_basis
 from swarm.flight.tlog import Replayed
 from swarm.ground.observations import Observation, append_observation, recorded_observations
 from swarm.ground.record_reader import recorded_basis, recorded_flight, recorded_plan
@@ -62,11 +62,14 @@ class VerifiedRecord:
 def verify_record(record: Path, *, truth: bool = False) -> VerifiedRecord:
     """Return the verification of a flight record; of the emulator's ground truth with ``truth``.
 
-    Reads reported positions and sent setpoints from the .tlog, and checks the recorded plan again.
+    Reads reported positions and sent setpoints from the .tlog, and checks the recorded plan again,
+    with the tracking error that its certificate states.
     Raises :class:`InputError` for a folder that is not a complete record.
     """
     plan = recorded_plan(record)
     basis = recorded_basis(record, plan)
+    if basis is not None:
+        basis = confirmed_basis(plan, basis)
     observations = tuple(recorded_observations(record))
     log = recorded_flight(record, plan)
     if truth:

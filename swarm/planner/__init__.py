@@ -84,19 +84,19 @@ def plan(
 
 
 def certify_again(
-    plan: Plan, recorded: Robustness, progress: Progress | None = None, *, confirm: bool = True
+    plan: Plan, recorded: Robustness, progress: Progress | None = None
 ) -> PlanningResult:
     """Certify a plan that was planned before, with its recorded e* and w*.
 
-    All checks are computed again from the plan. With ``confirm`` this includes e* and w*, which are
-    None in the result where they do not hold; otherwise they are taken as recorded.
+    All checks are computed again from the plan; e* and w* are None in the result where they do not
+    hold.
     """
     with one_thread():
         certificate = certify(plan, progress=progress)
         if certificate.cleared:
             if progress:
                 progress("recorded e* and w*", 0.0)
-            certificate = with_recorded_robustness(plan, certificate, recorded, confirm=confirm)
+            certificate = with_recorded_robustness(plan, certificate, recorded)
     return PlanningResult(plan, certificate)
 
 

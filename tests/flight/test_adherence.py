@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from swarm.flight.adherence import adherence
-from swarm.flight.flight_plan import basis_of
+from swarm.flight.flight_plan import basis_of, confirmed_basis
 from swarm.flight.trace import Trace
 from swarm.simulation.loop import simulate_flight
 from tests.network import small_plan
+from tests.test_certified_plan_files import reviewed
 
 CERTIFIED = small_plan()
 PLAN = CERTIFIED.plan
@@ -59,6 +60,18 @@ def test_errors_count_while_the_cable_is_aloft():
     unknown.position[:] = np.nan
     kept = adherence(PLAN, unknown, CARRYING)
     assert (kept.within, kept.largest) == (True, None)
+
+
+def test_a_recorded_tracking_error_counts_only_where_it_is_shown_again():
+    plan = reviewed().plan
+    carrying = basis_of(reviewed(), cable=True)
+    assert carrying.max_tracking_error > plan.mission.vehicles.tracking
+    assert confirmed_basis(plan, carrying) == carrying
+    forged = replace(carrying, max_tracking_error=0.9)
+    shown = confirmed_basis(plan, forged).max_tracking_error
+    assert shown == plan.mission.vehicles.tracking
+    narrow = replace(forged, max_tracking_error=0.01)
+    assert confirmed_basis(plan, narrow) == narrow
 
 
 def test_only_where_cable_was_carried_it_is_a_failure():
