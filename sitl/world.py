@@ -19,6 +19,7 @@ _KEY_LENGTH = 32
 _LARGEST_FILE = 4_000_000
 SEPARATE = 200.0
 """Metres between the pads of vehicles that never meet."""
+_MOST_VALUES = 50_000
 _MOST_NESTED = 50
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -203,17 +204,44 @@ def parse_yaml(text: str, name: str) -> Any:
     if _depth(text) > _MOST_NESTED:
         raise WorldError(f"{name}: expected at most {_MOST_NESTED} nested brackets, got more")
     try:
-        return json.loads(text)
+        return json.loads(text, object_pairs_hook=_each_key_once)
+    except KeyError as error:
+        raise WorldError(f"{name}: expected each key once, got {error} again") from None
     except (ValueError, RecursionError):
         pass
+    loader = YAML(typ="safe", pure=True)
     try:
-        return YAML(typ="safe", pure=True).load(text)
+        _refuse_hostile(loader, text, name)
+        return loader.load(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark
         place = f"{mark.line + 1}:{mark.column + 1}: " if mark else ""
         raise WorldError(f"{name}:{place}expected YAML, got {error.problem}") from None
     except (YAMLError, RecursionError, ValueError) as error:
         raise WorldError(f"{name}: expected YAML, got {type(error).__name__}") from None
+
+
+def _each_key_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise KeyError(key)
+        found[key] = value
+    return found
+
+
+def _refuse_hostile(loader: YAML, text: str, name: str) -> None:
+    """Refuse aliases, which can stand for any amount of values, and what nests without brackets."""
+    depth = 0
+    for count, event in enumerate(loader.parse(text)):
+        kind = type(event).__name__
+        if kind == "AliasEvent":
+            raise WorldError(f"{name}: expected YAML without aliases, got one")
+        depth += kind.endswith("StartEvent") - kind.endswith("EndEvent")
+        if depth > _MOST_NESTED:
+            raise WorldError(f"{name}: expected at most {_MOST_NESTED} nested values, got more")
+        if count > _MOST_VALUES:
+            raise WorldError(f"{name}: expected at most {_MOST_VALUES} values, got more")
 
 
 def _depth(text: str) -> int:
@@ -239,12 +267,16 @@ def explain(error: ValidationError, name: str) -> str:
             lines.append(f"{name}: {place}: expected a value, got none")
         else:
             message = one["msg"].removeprefix("Input should be ").strip()
+            message = "a mapping of keys" if one["type"] == "model_type" else message
             lines.append(f"{name}: {place or 'file'}: expected {message}, got {_short(one)}")
     return "\n".join(lines)
 
 
 def _short(one: Any) -> str:
-    text = repr(one["input"])
+    try:
+        text = repr(one["input"])
+    except ValueError:  # Python writes no integer of more than 4300 digits
+        text = "a number of thousands of digits"
     return text if len(text) <= 60 else text[:57] + "…"
 
 

@@ -37,7 +37,8 @@ def reason(error: BaseException) -> str:
     put their own text into ``strerror``.
     """
     if isinstance(error, OSError):
-        words = os.strerror(error.errno) if error.errno else error.strerror or ""
+        number = error.errno or 0  # negative ones are those of the resolver of names
+        words = os.strerror(number) if number > 0 else error.strerror or ""
         if words:
             return words[:1].lower() + words[1:]
     text = str(error).strip()

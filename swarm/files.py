@@ -50,7 +50,7 @@ def parse_json(text: str | bytes, source: str) -> Any:
     for found in _BRACKETS.finditer(text):
         depth += (found[0] in "[{") - (found[0] in "]}")
         if depth > DEEPEST_NESTING:
-            message = f"not JSON: nested more than {DEEPEST_NESTING} deep"
+            message = f"not valid JSON: nested more than {DEEPEST_NESTING} deep"
             raise InputError([Problem(source, message)])
     try:
         return json.loads(
@@ -58,9 +58,9 @@ def parse_json(text: str | bytes, source: str) -> Any:
         )
     except json.JSONDecodeError as error:
         place = f"{source}: line {error.lineno}, column {error.colno}"
-        raise InputError([Problem(place, f"not JSON: {error.msg}")]) from None
+        raise InputError([Problem(place, f"not valid JSON: {error.msg}")]) from None
     except ValueError as error:  # of the functions below, and for integers of thousands of digits
-        raise InputError([Problem(source, f"not JSON: {error}")]) from None
+        raise InputError([Problem(source, f"not valid JSON: {error}")]) from None
 
 
 def _with_each_key_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -106,15 +106,14 @@ def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
 def replaced(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a new path beside ``path``, and put the file written there in its place at the end.
 
-    Without an end, after any exception, nothing of the new file stays and ``path`` is as before. A
-    device or a pipe is written itself. Raises :class:`InputError` where a file cannot be written.
+    Without an end, after any exception, nothing of the new file stays and ``path`` is as before.
+    Links, devices and pipes are written themselves. Raises :class:`InputError` where that fails.
     """
     target = Path(path)
     try:
-        if target.exists() and not target.is_file():
+        if target.is_symlink() or (target.exists() and not target.is_file()):
             yield target
             return
-        target = target.resolve()  # a link stays, and what it leads to is replaced
         folder = Path(tempfile.mkdtemp(prefix=f".{target.name[:40]}-", dir=target.parent))
         try:
             new = folder / target.name
@@ -130,9 +129,7 @@ def replaced(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 def write_folder(path: str | os.PathLike[str], texts: Mapping[str, str]) -> None:
     """Write a new folder of UTF-8 files by their names; raises :class:`InputError` if it fails."""
-    try:
-        Path(path).mkdir()
-    except OSError as error:
-        raise InputError([Problem(os.fspath(path), reason(error))]) from None
-    for name, text in texts.items():
-        write_text(Path(path) / name, text)
+    with replaced(path) as new:
+        new.mkdir()
+        for name, text in texts.items():
+            (new / name).write_bytes(text.encode("utf-8"))

@@ -19,7 +19,7 @@ from swarm.certification.assessment import Assessment, Tightest
 from swarm.certification.loads import loads
 from swarm.certification.robustness import largest_tracking, robustness_of
 from swarm.errors import InputError, Problem, Refused, reason
-from swarm.files import read_text
+from swarm.files import parse_json, read_text
 from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.knots.catalog import choose_knot, lookup_knot, table_names
 from swarm.mission import Mission, mission_for_knot
@@ -161,13 +161,13 @@ def read_rows(path: Path) -> dict[str, dict[str, Any]]:
     if not path.exists():
         return {}
     rows: dict[str, dict[str, Any]] = {}
-    lines = read_text(path, LARGEST_FILE).splitlines()
+    lines = read_text(path, LARGEST_FILE).splitlines(keepends=True)
     for number, line in enumerate(lines, start=1):
         try:
-            row = json.loads(line)
+            row = parse_json(line, str(path))
             rows[row["knot"]] = {name: row[name] for name in COLUMNS}
-        except (ValueError, TypeError, KeyError) as error:
-            if isinstance(error, ValueError) and number == len(lines):
+        except (InputError, TypeError, KeyError):
+            if line.startswith("{") and not line.endswith(("}", "\n")):
                 break
             place = f"{path}: line {number}"
             raise InputError([Problem(place, "expected a row that --plan wrote")]) from None
@@ -177,8 +177,11 @@ def read_rows(path: Path) -> dict[str, dict[str, Any]]:
 def append_row(path: Path, row: Mapping[str, Any]) -> None:
     """Append a row to a file of JSON lines."""
     try:
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row, ensure_ascii=False) + "\n")
+        with path.open("a+b") as file:
+            file.seek(0)
+            complete, end, _ = file.read().rpartition(b"\n")
+            file.truncate(len(complete + end))  # without a line that an interrupt cut off
+            file.write(json.dumps(row, ensure_ascii=False).encode() + b"\n")
     except OSError as error:
         raise InputError([Problem(str(path), reason(error))]) from None
 

@@ -20,7 +20,7 @@ _THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}")
 _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 _DECLARED = re.compile(r'"?sep=([,;\t])"?[^\S\t]*', re.IGNORECASE)
-_UNIT = re.compile(r"(.*?)\s*[\[(]([^\])]*)[\])]")
+_UNIT = re.compile(r"([^\[\](){}]{0,99})[\[(]([^\[\](){}]{0,9})[\])]")
 _STAMPS = {1.0: "seconds", 1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 _LATE, _LATEST = 946_684_800.0, 4_102_444_800.0
 """Seconds from 1970 to 2000 and to 2100."""
@@ -53,7 +53,7 @@ class Table:
         if first and not any(_NUMBER.fullmatch(cell) for cell in cells):
             split = [_UNIT.fullmatch(cell) for cell in cells]
             self.heading = tuple(
-                (found[1] if found else cell).lower()
+                (found[1].rstrip() if found else cell).lower()
                 for found, cell in zip(split, cells, strict=True)
             )
             self._units = tuple(found[2].strip() if found else "" for found in split)
@@ -212,10 +212,14 @@ class Table:
 def stamp_problem(text: str) -> str | None:
     """Return the error of a time in seconds that is a stamp since 1970; None for others."""
     time = float(text.replace(",", ".")) if _NUMBER.fullmatch(text) else math.nan
-    for scale, unit in _STAMPS.items():
-        if _LATE <= time / scale <= _LATEST:
-            return f"expected seconds from the start, got {text}: a Unix stamp in {unit}"
-    return None
+    unit = stamp_unit(time)
+    return f"expected seconds from the start, got {text}: a Unix stamp in {unit}" if unit else None
+
+
+def stamp_unit(number: float) -> str | None:
+    """Return the unit in which a number is the time from 1970 to a date from 2000 to 2100."""
+    units = (unit for scale, unit in _STAMPS.items() if _LATE <= number / scale <= _LATEST)
+    return next(units, None)
 
 
 def _chained(first: str, rest: Iterator[str]) -> Iterator[str]:

@@ -42,17 +42,22 @@ def members(data: bytes) -> dict[str, bytes]:
 
 def forged(name: str, change, **manifest: str) -> bytes:
     """Return the file with a changed document, and with a manifest that agrees with the change."""
-    parts = members(written())
-    document = json.loads(parts[name])
+    document = json.loads(members(written())[name])
     change(document)
-    parts[name] = json.dumps(document).encode()
+    return repacked(name, json.dumps(document).encode(), **manifest)
+
+
+def repacked(name: str, data: bytes, **manifest: str) -> bytes:
+    """Return the file with another member, and with a manifest that agrees with it."""
+    parts = members(written())
+    parts[name] = data
     heading = json.loads(parts["manifest.json"]) | manifest
     heading["sha256"][name] = sha256(parts[name]).hexdigest()
     parts["manifest.json"] = json.dumps(heading).encode()
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
-        for each, data in parts.items():
-            archive.writestr(each, data)
+        for each, content in parts.items():
+            archive.writestr(each, content)
     return buffer.getvalue()
 
 

@@ -28,13 +28,12 @@ from swarm.formats.skybrush import fitted, show_file
 from swarm.formats.table import write_table
 from swarm.front.plan_files import certified_plan_file
 from swarm.geometry.motion import through_states
-from swarm.ground.record import Record
 from swarm.ground.record_reader import recorded_flight, recorded_plan
 from swarm.planner import PlanningResult
 from swarm.planning.cable_shape import cable_shape
 from tests import command
 from tests.certification.conftest import recorded_overhand
-from tests.flight.test_resuming import BEGAN, Recorded
+from tests.flight.test_resuming import BEGAN, cut_off_record
 from tests.network import small_plan
 from tests.reports.synthetic import trefoil_plan
 
@@ -72,16 +71,7 @@ def cleared() -> CertifiedPlan:
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The record of a flight that was cut off in its fold."""
-    folder = tmp_path_factory.mktemp("flights") / "sideways"
-    flight = Recorded(small_plan())
-    flight.until_phase("fold", 2.0)
-    kept = Record(folder, BEGAN)
-    kept.before(flight.flight_plan, flight.conductor.basis, flight.fleet, {})
-    for event in flight.events:
-        kept.event(event)
-    kept.close()
-    (folder / "flight.tlog").write_bytes(flight.tlog)
-    return folder
+    return cut_off_record(tmp_path_factory.mktemp("flights") / "sideways")
 
 
 def test_a_flight_is_an_mcap_log_with_vehicles_cable_frames_figures_and_events(

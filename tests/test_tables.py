@@ -3,6 +3,7 @@
 import codecs
 import csv
 import io
+import re
 
 import pytest
 from hypothesis import given
@@ -67,8 +68,8 @@ def test_a_cable_list_is_read_as_it_was_written_or_refused(sheet):
     data, written = sheet
     found = outcome(lengths, data)
     # With a decimal comma, three digits behind it may be thousands; everything else is read.
-    doubtful = b"," in data and "expected a number with one reading" in str(found)
-    assert doubtful or found == written
+    doubtful = re.search("with one reading|decimal comma", str(found))
+    assert (doubtful and b"," in data) or found == written
 
 
 @given(st.text(alphabet='0145.,;\t "\r\n-e#xlength=sp٣４\ufeff\0', max_size=40))
@@ -119,15 +120,15 @@ def test_any_text_is_read_with_finite_lengths_or_refused_in_words(text):
         ('4.5\n"4.5\n', "l.csv: line 2: not a table: unexpected end of data"),
         (
             '{"segments": [4.0], "segments": [9.0]}',
-            "l.csv: not JSON: the key 'segments' twice in an object",
+            "l.csv: not valid JSON: the key 'segments' twice in an object",
         ),
         (
             '{"segments": [4.0], "cable": {"segments": [9.0]}}',
             "l.csv: expected segments or cable, got both",
         ),
-        ("[" * 100_000, "l.csv: not JSON: nested more than 64 deep"),
-        ("[4.0, NaN]", "l.csv: not JSON: expected a finite number, got NaN"),
-        ("[4.0, 1e400]", "l.csv: not JSON: expected a finite number, got 1e400"),
+        ("[" * 100_000, "l.csv: not valid JSON: nested more than 64 deep"),
+        ("[4.0, NaN]", "l.csv: not valid JSON: expected a finite number, got NaN"),
+        ("[4.0, 1e400]", "l.csv: not valid JSON: expected a finite number, got 1e400"),
     ],
 )
 def test_a_cable_list_with_two_readings_or_none_is_refused(text, message):

@@ -26,6 +26,7 @@ from swarm.mavlink.telemetry_table import REBOOT_STEP
 from swarm.mavlink.vehicle import Vehicle
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
+from swarm.tables import stamp_unit
 
 Floats = npt.NDArray[np.float64]
 
@@ -40,6 +41,8 @@ _FRESH = 1.0
 """Seconds after which a position counts as unknown, as in a record."""
 _STAMP = 8
 """Bytes of the time stamp before each packet: microseconds, big-endian (MAVLink .tlog)."""
+_LONGEST = 43_200.0
+"""Longest record in seconds, three times the longest plan: damaged stamps must not fill memory."""
 _HOUR = 3_600_000_000
 """Microseconds; a larger difference of two stamps is no stamp but damage."""
 _SETPOINT = int(common.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED)
@@ -226,8 +229,12 @@ def replay(data: bytes, plan: Plan, fleet: Fleet, known: KnownFrames | None = No
         if packet is None:
             holes += 1
             continue
-        first = now if math.isnan(first) else first
+        if math.isnan(first):
+            first = now
+            _require_microseconds(now)
         last = now
+        if last - first > _LONGEST:
+            raise InputError(f"the record's flight.tlog is longer than {_LONGEST / 3600.0:g} hours")
         for one in decoder.feed(packet):
             content.take(now - first, one)
     if math.isnan(first) or not content.clock:
@@ -247,6 +254,13 @@ def replay(data: bytes, plan: Plan, fleet: Fleet, known: KnownFrames | None = No
         damaged=holes + decoder.damaged,
         notes=tuple(notes),
     )
+
+
+def _require_microseconds(first: float) -> None:
+    unit = stamp_unit(first * 1e6)
+    if unit not in {None, "microseconds"}:
+        message = "the record's flight.tlog: expected stamps in microseconds since 1970, got "
+        raise InputError(message + f"{unit}")
 
 
 def _vehicles(fleet: Fleet) -> dict[int, Vehicle]:

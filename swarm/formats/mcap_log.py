@@ -29,7 +29,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
-from swarm.errors import InputError, Problem, reason
+from swarm.files import replaced
 from swarm.flight.snapshot import Event
 from swarm.formats.samples import CABLE_POINTS, CABLE_WIDTH, FRAME, Samples, nanoseconds
 from swarm.reports import scene
@@ -52,11 +52,8 @@ def write_log(samples: Samples, path: Path) -> None:
     has a frame ``vehicle_1``… at the centre of every vehicle; ``/events`` (foxglove.Log) has the
     events; ``/mission`` and ``/vehicle_1/state``… (JSON) have the figures, without unknown ones.
     """
-    try:
-        with path.open("wb") as file:
-            _write(samples, file)
-    except OSError as error:
-        raise InputError([Problem(str(path), reason(error))]) from None
+    with replaced(path) as new, new.open("wb") as file:
+        _write(samples, file)
 
 
 def _write(samples: Samples, file: IO[bytes]) -> None:

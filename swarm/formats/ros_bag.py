@@ -10,6 +10,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from rosbags.typesys import Stores, get_typestore
 
 from swarm.errors import InputError, Problem, reason
+from swarm.files import replaced
 from swarm.formats.samples import CABLE_POINTS, CABLE_WIDTH, FRAME, Samples
 from swarm.reports import scene
 
@@ -32,10 +33,11 @@ def write_bag(samples: Samples, path: Path) -> None:
     """
     if path.exists():
         raise InputError([Problem(str(path), "file exists")])
+    kind = {"version": Writer.VERSION_LATEST, "storage_plugin": StoragePlugin.MCAP}
     try:
-        with Writer(path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP) as bag:
+        with replaced(path) as new, Writer(new, **kind) as bag:
             _write(samples, bag)
-    except (OSError, WriterError) as error:
+    except WriterError as error:
         raise InputError([Problem(str(path), reason(error))]) from None
 
 

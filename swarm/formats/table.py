@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from swarm.errors import InputError, Problem, reason
+from swarm.files import replaced
 from swarm.formats.samples import Samples
 from swarm.version import __version__
 
@@ -42,7 +42,5 @@ def write_table(samples: Samples, path: Path) -> None:
     """Write :func:`samples_table` as Parquet; raise :class:`InputError` where that fails."""
     import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
 
-    try:
-        pq.write_table(samples_table(samples), path)
-    except OSError as error:
-        raise InputError([Problem(str(path), reason(error))]) from None
+    with replaced(path) as new:
+        pq.write_table(samples_table(samples), new)

@@ -8,7 +8,7 @@ from pathlib import Path
 from swarm.errors import InputError, Problem
 from swarm.files import read_text
 from swarm.knots.catalog import choose_knot
-from swarm.mission import Mission, mission_for_knot, parse_mission
+from swarm.mission import Mission, mission_for_knot
 from swarm.mission.fleet import Fleet, parse_fleet
 from swarm.mission.sections import Knot
 from swarm.mission.validation import (
@@ -82,16 +82,17 @@ def load_fleet(path: str | os.PathLike[str]) -> Fleet:
 
 def _mission(text: str, source: str, overrides: Sequence[str]) -> Mission:
     """Return the mission of a file's text; a knot that does not exist is one of the problems."""
+    document = apply_overrides(parse_yaml(text, source), overrides)
     wrong: tuple[Problem, ...] = ()
     mission, knot = None, None
     try:
-        mission = parse_mission(text, source, overrides)
+        mission = validate(Mission, document, source, text, overrides)
         knot = mission.knot
     except InputError as error:
         wrong = error.problems
         with suppress(InputError):
-            document = apply_overrides(parse_yaml(text, source), overrides)
-            knot = validate(Knot, (document or {}).get("knot"), source)
+            described = document.get("knot") if isinstance(document, dict) else None
+            knot = validate(Knot, described, source)
     wrong += tuple(_knot_problems(knot, source, key_lines(text, overrides)))
     if mission is None or wrong:
         raise InputError(wrong)

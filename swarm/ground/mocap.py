@@ -111,7 +111,7 @@ def parse_frame(data: bytes) -> list[Pose]:
         for system, values in frame["bodies"].items():
             x, y, z, qw, qx, qy, qz = map(float, values)
             poses.append(Pose(int(system), moment, (x, y, z), (qw, qx, qy, qz)))
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         return []
     return [one for one in poses if all(map(math.isfinite, (moment, *one.position, *one.attitude)))]
 

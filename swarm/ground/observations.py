@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from swarm.errors import InputError, Problem, reason
+from swarm.files import parse_json, read_text
 from swarm.knots.catalog import choose_knot
+from swarm.mission.validation import LARGEST_FILE
 from swarm.planning import KnotSummary
 
 _SENTENCE = re.compile(
@@ -74,9 +76,9 @@ def recorded_observations(record: Path) -> list[Observation]:
     if not path.exists():
         return []
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()[-_LARGEST_COUNT:]
-        return [_read(json.loads(line)) for line in lines]
-    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+        lines = read_text(path, LARGEST_FILE).splitlines()[-_LARGEST_COUNT:]
+        return [_read(parse_json(line, str(path))) for line in lines]
+    except (TypeError, AttributeError):
         raise InputError([Problem(str(path), "expected one observation per line")]) from None
 
 

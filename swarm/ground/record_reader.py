@@ -3,7 +3,6 @@
 Every function raises :class:`InputError` for a file that is missing, too large or damaged.
 """
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from swarm.certification.assessment import Assessment
 from swarm.errors import InputError, Problem, reason
-from swarm.files import read_bytes
+from swarm.files import parse_json, read_bytes
 from swarm.flight.archive import read_certificate, read_frames
 from swarm.flight.flight_plan import Basis
 from swarm.flight.snapshot import Event
@@ -25,6 +24,8 @@ from swarm.planning.archive import read_plan
 LARGEST_PLAN = 64 << 20
 """Bytes of a record's plan, motion or certificate."""
 _EVENT = TypeAdapter(Event)
+LATEST_EVENT = 1e9
+"""Seconds of an event's clock, which begins with the flight or with the computer: 30 years."""
 LARGEST_LOG = 4 << 30
 """Bytes of a record's packets."""
 
@@ -90,8 +91,11 @@ def recorded_events(record: Path) -> Iterator[Event]:
     lines = read_bytes(path, LARGEST_PLAN).decode("utf-8", "replace").splitlines()
     for number, line in enumerate(lines, start=1):
         try:
-            yield _EVENT.validate_json(line)
-        except ValidationError:
+            event = _EVENT.validate_json(line)
+            if not abs(event.time) <= LATEST_EVENT:
+                raise ValueError
+            yield event
+        except ValueError:
             if number < len(lines):
                 raise InputError([Problem(f"{path}:{number}", "expected an event")]) from None
 
@@ -110,9 +114,4 @@ def _require(record: Path, *names: str) -> None:
 
 
 def _json(path: Path, largest: int) -> Any:
-    try:
-        return json.loads(read_bytes(path, largest))
-    except RecursionError:
-        raise InputError([Problem(str(path), "not valid JSON: nested too deeply")]) from None
-    except ValueError as error:
-        raise InputError([Problem(str(path), f"not valid JSON: {error}")]) from None
+    return parse_json(read_bytes(path, largest), str(path))

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import serial
 
-from swarm.errors import VehicleError
+from swarm.errors import VehicleError, reason
 from swarm.flight.router import Outgoing
 
 _LARGEST_DATAGRAM = 65_536
@@ -204,19 +204,13 @@ def open_links(urls: Mapping[str, str]) -> Links:
     for name, url in urls.items():
         try:
             opened[name] = _open(name, url)
-        except OSError as error:
-            reason = _reason(error)
-            problems.append(f"link {name} ({url}) cannot be opened: {reason}")
+        except (OSError, UnicodeError) as error:  # the latter for no name of a host
+            problems.append(f"link {name} ({url}) cannot be opened: {reason(error)}")
     if problems:
         for one in opened.values():
             one.close()
         raise VehicleError("\n".join(problems))
     return Links(opened)
-
-
-def _reason(error: OSError) -> str:
-    text = os.strerror(error.errno) if error.errno else error.strerror
-    return (text or str(error)).lower()
 
 
 def _open(name: str, url: str) -> Port:

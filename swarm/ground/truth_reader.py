@@ -1,6 +1,5 @@
 """Ground truth in a flight record: the emulator's world instead of the vehicles' reports."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from swarm.errors import InputError, Problem
-from swarm.files import read_bytes
+from swarm.files import parse_json, read_bytes
 from swarm.flight.tlog import Replayed
 from swarm.flight.trace import Trace
 from swarm.mission.validation import LARGEST_FILE
@@ -56,8 +55,8 @@ def _lines(path: Path) -> list[dict[str, Any]]:
     found = []
     for number, line in enumerate(lines, start=1):
         try:
-            found.append(json.loads(line))
-        except ValueError:
+            found.append(parse_json(line, str(path)))
+        except InputError:
             if number < len(lines):
                 raise InputError([Problem(f"{path}:{number}", "expected ground truth")]) from None
     return found
@@ -67,7 +66,7 @@ def _clock(record: Path) -> tuple[float, float]:
     """Return the wall clock's and the world's time at which flight time was zero, seconds."""
     path = record / "versions.json"
     try:
-        facts = json.loads(read_bytes(path, LARGEST_FILE))
+        facts = parse_json(read_bytes(path, LARGEST_FILE), str(path))
         return float(facts["start_time"]), float(facts["world_start"])
     except (ValueError, KeyError, TypeError):
         raise InputError([Problem(str(path), "expected start_time and world_start")]) from None

@@ -8,6 +8,7 @@ refused, NaN and infinities refused. Errors read ``file:line: key.path: expected
 import io
 import math
 import re
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
@@ -19,14 +20,15 @@ from ruamel.yaml.nodes import ScalarNode
 from ruamel.yaml.resolver import VersionedResolver
 
 from swarm.errors import InputError, Problem, nearest, shown
+from swarm.files import DEEPEST_NESTING
 from swarm.mission.units import other_unit
 from swarm.mission.yaml_lines import key_lines, line_of
 
 LARGEST_FILE = 1_000_000
 """Largest number of characters of a mission or fleet file."""
 
-DEEPEST_NESTING = 64
-"""Largest depth of nesting: the parser recurses, and a hostile file must not crash it."""
+MOST_VALUES = 50_000
+"""Most values of a YAML file, lists and mappings included: a fleet of 249 vehicles has 4,000."""
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -90,7 +92,7 @@ def parse_yaml(text: str, source: str) -> Any:
     loader = YAML(typ="safe", pure=True)
     loader.Resolver = _KnotNameResolver
     try:
-        _refuse_deep_nesting(loader, text, source)
+        _refuse_hostile(loader, text, source)
         return loader.load(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -126,15 +128,18 @@ class _KnotNameResolver(VersionedResolver):  # type: ignore[misc]
         return super().resolve(kind, value, implicit)
 
 
-def _refuse_deep_nesting(loader: YAML, text: str, source: str) -> None:
+def _refuse_hostile(loader: YAML, text: str, source: str) -> None:
+    """Raise :class:`InputError` for text that takes a parser, or a reader of errors, too long."""
     depth = 0
-    for event in loader.parse(text):
+    for count, event in enumerate(loader.parse(text)):
         name = type(event).__name__
         if name == "AliasEvent":
             raise InputError([Problem(source, "YAML aliases are not supported")])
         depth += name.endswith("StartEvent") - name.endswith("EndEvent")
         if depth > DEEPEST_NESTING:
             raise InputError([Problem(source, f"nested more than {DEEPEST_NESTING} deep")])
+        if count > MOST_VALUES:
+            raise InputError([Problem(source, f"expected at most {MOST_VALUES:,} values")])
 
 
 def apply_overrides(document: Any, overrides: Iterable[str]) -> Any:
@@ -221,9 +226,10 @@ def _problem(
     match item["type"]:
         case "extra_forbidden":
             return Problem(place, f"unknown key, {got}{_nearest_key(model, keys)}")
-        case "missing" if field and not isinstance(item["loc"][-1], int):
-            purpose = f" ({field.description})" if field.description else ""
-            example = f"; for example: {keys[-1]}: {field.examples[0]}" if field.examples else ""
+        case "missing" if not isinstance(item["loc"][-1], int):
+            purpose = f" ({field.description})" if field and field.description else ""
+            examples = field.examples if field else None
+            example = f"; for example: {keys[-1]}: {examples[0]}" if examples else ""
             return Problem(place, f"expected this key{purpose}, got nothing{example}")
         case "value_error":
             return Problem(place, str(item["ctx"]["error"]))
@@ -268,7 +274,8 @@ def _other_unit(field: FieldInfo | None, value: Any) -> str:
 
 
 def _is_finite_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return number and abs(value) <= sys.float_info.max  # YAML has integers without a limit
 
 
 def _named_field(

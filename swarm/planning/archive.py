@@ -14,8 +14,10 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
-from swarm.errors import InputError, Problem
+from swarm.errors import InputError, Problem, shown
+from swarm.files import parse_json
 from swarm.folding.layout import KnotLayout
 from swarm.geometry.motion import Motion
 from swarm.mission import Mission
@@ -30,6 +32,13 @@ READ_ERRORS: Final = (
     zlib.error, NotImplementedError, RuntimeError,
 )  # fmt: skip
 """Exceptions that the libraries raise for damaged JSON and .npz files."""
+
+_TYPES: Final[Mapping[str, TypeAdapter[Any]]] = {
+    "knot": TypeAdapter(KnotSummary),
+    "phases": TypeAdapter(list[Phase]),
+    "gates": TypeAdapter(list[Gate]),
+    "notes": TypeAdapter(list[str]),
+}
 
 FORMAT: Final = "swarm plan"
 SCHEMA: Final = 2
@@ -81,6 +90,8 @@ def read_plan(
     """
     try:
         layout = document["layout"]
+        for key, kind in _TYPES.items():
+            _require_type(kind, key, document[key])
         plan = Plan(
             mission=validate(Mission, document["mission"], f"{source}: mission"),
             knot=KnotSummary(
@@ -121,11 +132,25 @@ def _range_problems(plan: Plan, source: str) -> list[Problem]:
         *place_problems(plan.layout.corners, f"{source}: layout.corners"),
         *place_problems(plan.path, f"{source}: path"),
         *(
-            Problem(f"{source}: gates", f"expected {start:g} to {end:g} s, got {gate.time:g} s")
-            for gate in plan.gates
-            if not start <= gate.time <= end
+            Problem(f"{source}: {key}", f"expected {start:g} to {end:g} s, got {time:g} s")
+            for key, times in (
+                ("gates", [gate.time for gate in plan.gates]),
+                ("phases", [time for phase in plan.phases for time in (phase.start, phase.end)]),
+            )
+            for time in times
+            if not start <= time <= end
         ),
     ]
+
+
+def _require_type(kind: TypeAdapter[Any], key: str, value: Any) -> None:
+    """Raise ValueError for a value of another type; its numbers are kept as they are written."""
+    try:
+        kind.validate_json(json.dumps(value), strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in (key, *first["loc"]))
+        raise ValueError(f"{place}: {first['msg']}, got {shown(first['input'])}") from None
 
 
 def _require_shapes(plan: Plan) -> None:
@@ -139,6 +164,8 @@ def _require_shapes(plan: Plan) -> None:
             or not np.isfinite(getattr(layout, name)).all()
         ):
             raise ValueError(f"layout.{name}: expected {segments} finite numbers")
+    if layout.corners.shape != (vehicles, 3) or plan.path.ndim != 2 or plan.path.shape[1] != 3:
+        raise ValueError("layout.corners or path: expected rows of three numbers")
     if not all(0 <= segment < segments for pair in layout.crossings for segment in pair):
         raise ValueError("layout.crossings: a segment that does not exist")
 
@@ -220,10 +247,10 @@ def read_plan_file(data: bytes, source: str) -> PlanFile:
 def _read_manifest(data: bytes, source: str) -> Mapping[str, Any]:
     """Return a manifest of this version of the format."""
     try:
-        manifest = json.loads(data)
+        manifest = parse_json(data, source)
         kind, schema = manifest["format"], manifest["schema"]
         dict(manifest.get("sha256", {}))
-    except READ_ERRORS:
+    except (*READ_ERRORS, InputError):
         raise InputError([Problem(f"{source}: {_MANIFEST}", "cannot be read")]) from None
     _require(f"{source}: format", FORMAT, kind)
     if schema != SCHEMA or isinstance(schema, bool):
@@ -237,10 +264,7 @@ def _read_manifest(data: bytes, source: str) -> Mapping[str, Any]:
 
 
 def _document(data: bytes, place: str) -> Any:
-    try:
-        return json.loads(data)
-    except (*READ_ERRORS, RecursionError) as error:
-        raise InputError([Problem(place, f"not JSON: {error}")]) from None
+    return parse_json(data, place)
 
 
 def _json(document: Mapping[str, Any]) -> bytes:
@@ -259,6 +283,8 @@ def _members(data: bytes, source: str, names: Sequence[str]) -> dict[str, bytes]
         raise InputError([Problem(source, message)]) from None
     except READ_ERRORS as error:
         message = f"expected a plan file, got another or incomplete file ({error})"
+        if data.lstrip()[:1] == b"{" and b'"fileType"' in data:
+            message = "expected a plan file of swarm plan --save, got a plan of QGroundControl"
         raise InputError([Problem(source, message)]) from None
     large = [name for name, read in found.items() if len(read) > _LARGEST_MEMBER]
     if large:

@@ -6,7 +6,6 @@ own (:mod:`swarm.mission.sections`).
 
 from collections.abc import Sequence
 from itertools import pairwise
-from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
@@ -80,5 +79,7 @@ def length_problems(lengths: Sequence[object], place: str) -> list[Problem]:
             f"expected a length > 0 and <= {LARGEST:g} in metres, got {shown(length)}",
         )
         for number, length in enumerate(lengths, start=1)
-        if isinstance(length, bool) or not isinstance(length, Real) or not 0.0 < length <= LARGEST
+        if isinstance(length, bool)
+        or not isinstance(length, int | float | np.integer)
+        or not 0.0 < length <= LARGEST
     ]

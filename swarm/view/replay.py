@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
+from swarm.files import replaced
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
 from swarm.planning import Plan
@@ -28,12 +29,13 @@ APPLICATION = "swarm"
 
 def write_plan(plan: Plan, path: Path) -> None:
     """Write a plan as a Rerun recording: its motion, cable, curves and phases over mission time."""
-    stream = _recording(plan)
-    stream.save(path, default_blueprint=plan_blueprint(plan))
-    log_plan(stream, plan)
-    send_planned(stream, plan)
-    send_plan_curves(stream, plan)
-    stream.disconnect()
+    with replaced(path) as new:
+        stream = _recording(plan)
+        stream.save(new, default_blueprint=plan_blueprint(plan))
+        log_plan(stream, plan)
+        send_planned(stream, plan)
+        send_plan_curves(stream, plan)
+        stream.disconnect()
 
 
 def send_planned(stream: rr.RecordingStream, plan: Plan) -> None:
@@ -48,17 +50,18 @@ def write_flight(plan: Plan, trace: Trace, events: Iterable[Event], path: Path) 
     It has the positions and setpoints of the trace. Batteries, modes and links are only in the
     recording of the live flight.
     """
-    stream = _recording(plan)
-    stream.save(path, default_blueprint=comparison_blueprint(plan))
-    log_plan(stream, plan)
-    send_planned(stream, plan)
-    send_motion(stream, "flight", plan, flown_motion(plan, trace))
-    send_errors(stream, plan, trace)
-    send_distances(stream, plan, trace)
-    send_swing(stream, plan, trace)
-    for event in events:
-        log_event(stream, event)
-    stream.disconnect()
+    with replaced(path) as new:
+        stream = _recording(plan)
+        stream.save(new, default_blueprint=comparison_blueprint(plan))
+        log_plan(stream, plan)
+        send_planned(stream, plan)
+        send_motion(stream, "flight", plan, flown_motion(plan, trace))
+        send_errors(stream, plan, trace)
+        send_distances(stream, plan, trace)
+        send_swing(stream, plan, trace)
+        for event in events:
+            log_event(stream, event)
+        stream.disconnect()
 
 
 def flown_motion(plan: Plan, trace: Trace) -> MotionSamples:

@@ -140,7 +140,7 @@ def test_lengths_as_json_or_csv(text):
         ("[1, -2]", "c: segment 2: expected a length > 0 and <= 10000 in metres, got -2"),
         ("[1, true]", "c: segment 2: expected a length > 0 and <= 10000 in metres, got True"),
         ("", "c: expected lengths, got none"),
-        ("[1,", "c: line 1, column 4: not JSON: Expecting value"),
+        ("[1,", "c: line 1, column 4: not valid JSON: Expecting value"),
         (
             '{"cable": 3}',
             "c: expected a list of lengths, or an object with segments or cable.segments",

@@ -18,6 +18,7 @@ from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import left_off
 from swarm.flight.setup import Options
 from swarm.flight.tlog import ClockEncoder, replay
+from swarm.ground.record import Record
 from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.fault_injection.stepped_simulation import set_audited_parameters
 from tests.network import Network, small_plan
@@ -52,6 +53,19 @@ class Recorded(Network):
         if conductor.stage in {"ready", "execute", "contingency"}:
             phase = conductor.phase.name if conductor.stage == "execute" else ""
             self._keep(self.now, self.clock_encoder.encode(self.now, conductor.clock.time, phase))
+
+
+def cut_off_record(folder):
+    """Write the record of a flight that was cut off in its fold, and return its folder."""
+    flight = Recorded(small_plan())
+    flight.until_phase("fold", 2.0)
+    kept = Record(folder, BEGAN)
+    kept.before(flight.flight_plan, flight.conductor.basis, flight.fleet, {})
+    for event in flight.events:
+        kept.event(event)
+    kept.close()
+    (folder / "flight.tlog").write_bytes(flight.tlog)
+    return folder
 
 
 def broken_off(autopilots, after, silent_for, *, no_cable=False):

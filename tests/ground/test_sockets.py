@@ -97,6 +97,13 @@ def test_a_slow_connection_keeps_no_stale_packets():
     server.close()
 
 
+@pytest.mark.parametrize("host", ["host.invalid", "a..b"])
+def test_an_unknown_host_is_named_in_words(host):
+    with pytest.raises(VehicleError, match=rf"link net \(udpout://{host}:14550\) cannot") as error:
+        open_links({"net": f"udpout://{host}:14550"})
+    assert "unknown error" not in str(error.value)
+
+
 def test_a_missing_port_is_named():
     with pytest.raises(
         VehicleError,

@@ -1,6 +1,5 @@
 """The ground check of a fleet, ``swarm check``: a go/no-go list before arming."""
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -11,6 +10,7 @@ import numpy as np
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding, Severity
 from swarm.errors import InputError, Problem, Refused, VehicleError
+from swarm.files import parse_json, read_bytes
 from swarm.flight.fleet_listener import FleetListener, LinkQuality, radio_findings
 from swarm.flight.parameters import (
     STREAM_LOSS_TIME,
@@ -31,6 +31,7 @@ from swarm.ground.commissioning.audit import (
 from swarm.ground.commissioning.survey import Survey, open_survey
 from swarm.mission import Vehicles
 from swarm.mission.fleet import Fleet
+from swarm.mission.validation import LARGEST_FILE
 from swarm.planning import Plan
 
 _STREAM_START = 2.5
@@ -322,8 +323,8 @@ def _changed_since(audits: Sequence[VehicleAudit], folder: Path) -> dict[int, di
 def _saved(folder: Path, system: int) -> Mapping[str, float]:
     """Return the parameters of a vehicle that an earlier check has saved."""
     path = folder / "parameters" / f"{system}.json"
-    with suppress(ValueError, OSError):
-        document = json.loads(path.read_text())
+    with suppress(InputError, TypeError, ValueError, OverflowError):
+        document = parse_json(read_bytes(path, LARGEST_FILE), str(path))
         if isinstance(document, dict):
             return {str(name): float(value) for name, value in document.items()}
     raise InputError([Problem(str(path), "expected the saved parameters of an earlier check")])

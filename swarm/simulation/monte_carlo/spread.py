@@ -91,7 +91,11 @@ def read_scenario(text: str, source: str) -> tuple[Spread, tuple[Fault, ...]]:
         raise InputError([Problem(source, "expected keys: schema, faults, spread")])
     faults = {key: value for key, value in document.items() if key != "spread"}
     spread = validate(Spread, document.get("spread") or {}, f"{source}: spread")
-    return spread, faults_from(json.dumps({"faults": [], **faults}, default=str), source)
+    try:
+        text = json.dumps({"faults": [], **faults}, default=str)
+    except (TypeError, ValueError) as error:  # keys that are lists, numbers of thousands of digits
+        raise InputError([Problem(source, str(error))]) from None
+    return spread, faults_from(text, source)
 
 
 def trial_scenario_schema() -> dict[str, Any]:
