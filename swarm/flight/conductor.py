@@ -20,7 +20,6 @@ from swarm.flight.modes.resume import find_team
 from swarm.flight.modes.transitions import change_stage
 from swarm.flight.observing import follow_swing, monitor, observe
 from swarm.flight.operator import Availability, Request, available, request
-from swarm.flight.pace import LONGEST_TICK
 from swarm.flight.reporting import record_sample, snapshot_of, statistics_of
 from swarm.flight.responding import respond
 from swarm.flight.result import Statistics
@@ -30,7 +29,7 @@ from swarm.flight.setup import Options, setup_of
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.stages import Stage, Trigger
 from swarm.flight.starting import initial_state
-from swarm.flight.state import FlightState, Resumption, Timing
+from swarm.flight.state import LONGEST_TICK, FlightState, Resumption
 from swarm.flight.streams import setpoints
 from swarm.flight.trace import Trace
 from swarm.mission.fleet import Fleet
@@ -76,8 +75,12 @@ class Conductor(FlightView):
         ``real`` is real time in seconds where ``now`` follows a simulated world.
         """
         flight = self.state
-        moving = flight.timing.moving + min(now - flight.timing.now, LONGEST_TICK)
-        flight.timing = Timing(now, flight.timing.now, moving, now if real is None else real)
+        flight.timing = flight.timing.advanced(
+            now,
+            now if real is None else real,
+            streaming=bool(flight.streams.active.any()) and flight.stage in IN_FLIGHT,
+        )
+        self._take_stall()
         self._take_reports(now)
         observe(flight)
         stage = flight.stage
@@ -91,6 +94,16 @@ class Conductor(FlightView):
         outgoing.extend(flight.team.tick(now))
         record_sample(flight)
         return outgoing
+
+    def _take_stall(self) -> None:
+        """Count no time against vehicles in which this program did not run; respond to a stall."""
+        flight, timing = self.state, self.state.timing
+        longest = max(LONGEST_TICK, 2.0 / self.fleet.rates.setpoint)
+        if timing.elapsed > longest:
+            flight.team.pause(timing.last, timing.elapsed - longest)
+        if timing.streaming:
+            for failure in flight.detectors.station.stalled(timing.now, timing.elapsed):
+                respond(flight, failure)
 
     def _take_reports(self, now: float) -> None:
         """Record the events of all vehicles; respond to failures that they report themselves."""

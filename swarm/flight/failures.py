@@ -31,6 +31,7 @@ class FailureKind(StrEnum):
     HEIGHT_DRIFT = "height drift"
     BATTERY_LOW = "battery low"
     BATTERY_CRITICAL = "battery critical"
+    STATION_STALLED = "ground station stalled"
     STANDSTILL = "standstill"
     TRACKING_ERROR = "tracking error"
     SNAGGED = "snagged"

@@ -5,11 +5,8 @@ from swarm.flight.failures import OPERATOR
 from swarm.flight.holds import hold
 from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.flight.progress import error_too_large, set_rewinding
-from swarm.flight.state import FlightState
+from swarm.flight.state import LONGEST_TICK, FlightState
 
-LONGEST_TICK = 0.1
-"""Seconds of mission time that pass in one tick at most. Time in which the ground station did not
-run is not flown afterwards: the setpoints would jump."""
 ASLEEP = STREAM_LOSS_TIME
 """Seconds without a tick after which all vehicles have stopped: the clock begins again at rest."""
 

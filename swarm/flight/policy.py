@@ -84,6 +84,7 @@ TABLE: Mapping[FailureKind, Responses] = {
     _K.HEIGHT_DRIFT: Responses(_R.LAND_HERE, _R.LAND_HERE),
     _K.BATTERY_LOW: Responses(_R.LAND, _R.REPORT),
     _K.BATTERY_CRITICAL: Responses(_R.LAND_HERE, _R.LAND_HERE),
+    _K.STATION_STALLED: Responses(_R.HOLD, _R.REPORT, irreversible=False),
     _K.STANDSTILL: Responses(_R.HOLD, _R.LAND_HERE, irreversible=False),
     _K.TRACKING_ERROR: Responses(_R.LAND_HERE, _R.LAND_HERE),
     _K.SNAGGED: Responses(_R.RELEASE, _R.RELEASE_HERE),

@@ -75,6 +75,7 @@ def statistics_of(flight: FlightState) -> Statistics:
         lost={v.system: v.lost_packets for v in flight.roster.vehicles},
         round_trip={v.system: v.round_trip for v in flight.roster.vehicles},
         rejected=_rejected(flight),
+        gap=(flight.timing.gap, flight.timing.gap_at),
     )
 
 

@@ -1,6 +1,7 @@
 """From a detected failure to the team's response, as the policy says."""
 
 from swarm.flight import policy
+from swarm.flight.detect.station import STALLED
 from swarm.flight.ending import mark_failed
 from swarm.flight.failures import Failure, Finding, HoldCause, Recovery
 from swarm.flight.holds import end_failures, hold
@@ -62,5 +63,9 @@ def _with_cause(flight: FlightState, failure: Failure) -> str:
     k = failure.vehicle
     own = None if k is None else flight.roster.vehicles[k].system
     held = flight.holds.causes.items() if k is not None else ()
-    causes = [words for cause, words in held if cause.failure and cause.system not in {None, own}]
+    causes = [
+        words
+        for cause, words in held
+        if cause == STALLED or (cause.failure and cause.system not in {None, own})
+    ]
     return "; ".join([*causes, failure.message])

@@ -8,6 +8,7 @@ from typing import Literal
 from swarm.errors import Interrupted, Refused, SwarmError, VehicleError
 from swarm.flight.adherence import Adherence
 from swarm.flight.flight_plan import Basis
+from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
 
@@ -43,9 +44,11 @@ class Statistics:
 
     Times in seconds: ``lateness`` of setpoints as (median, 99 %), ``command_latency`` until the
     acknowledgement as (median, largest), ``cpu`` as a share of one core (None in a simulation),
-    ``duration`` in flight time, ``round_trip`` per system id. ``lost`` and ``received`` count
-    packets per system id. ``rejected`` counts rejected packets: by the error of their signatures,
-    and "stranger" for all others; ``unsent`` packets that did not fit a link, by the link's name.
+    ``duration`` in flight time, ``round_trip`` per system id; ``gap`` is the longest time between
+    two setpoints of this ground station, and the time of the flight at which it began. ``lost`` and
+    ``received`` count packets per system id. ``rejected`` counts rejected packets: by the error of
+    their signatures, and "stranger" for all others; ``unsent`` packets that did not fit a link, by
+    the link's name.
     """
 
     duration: float
@@ -58,6 +61,7 @@ class Statistics:
     unsent: Mapping[str, int] = field(default_factory=dict)
     lateness: tuple[float, float] | None = None
     cpu: float | None = None
+    gap: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -83,8 +87,16 @@ class FlightResult:
         """
         error = self.outcome.error()
         if error is None and self.basis.cable and not self.adherence.within:
-            return VehicleError(self.adherence.words)
+            return VehicleError("; ".join(filter(None, (self.stall, self.adherence.words))))
         return error
+
+    @property
+    def stall(self) -> str:
+        """The longest gap of our own setpoints in words, where it stopped the vehicles; or ""."""
+        seconds, at = self.statistics.gap
+        if seconds <= STREAM_LOSS_TIME:
+            return ""
+        return f"the ground station stood still for {seconds:.1f} s, {at:.1f} s into the flight"
 
     @property
     def exit_code(self) -> int:

@@ -326,6 +326,14 @@ class Team:
                 self._send(outgoing, sysid, vehicle.tick(now))
         return outgoing
 
+    def pause(self, since: float, seconds: float) -> None:
+        """Count no silence of vehicles for seconds after ``since`` in which nothing was read."""
+        for vehicle in self.vehicles.values():
+            if vehicle.received_at <= since:
+                vehicle.received_at += seconds
+            if vehicle.timesync_at <= since:
+                vehicle.timesync_at += seconds
+
     def _heartbeats(self) -> Iterable[Outgoing]:
         spoken_to = {id(route) for ways in self._ways.values() for route in ways.values()}
         for route in self._routes.values():

@@ -38,16 +38,33 @@ Flags = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.int64]
 
 
+LONGEST_TICK = 0.1
+"""Seconds that pass in one tick at most. Time in which the ground station did not run is not flown
+afterwards, since the setpoints would jump, and counts against no vehicle."""
+
+
 @dataclass(frozen=True)
 class Timing:
     """``now`` and ``last`` are the times of this tick and of the one before; ``moving`` the seconds
     that setpoints have advanced, in which a tick counts LONGEST_TICK at most; ``real`` is real time
-    in seconds."""
+    in seconds. ``streaming`` says whether setpoints are sent; ``gap`` is the longest time between
+    two ticks with setpoints, which began at ``gap_at``."""
 
     now: float = 0.0
     last: float = 0.0
     moving: float = 0.0
     real: float = 0.0
+    streaming: bool = False
+    gap: float = 0.0
+    gap_at: float = 0.0
+
+    def advanced(self, now: float, real: float, *, streaming: bool) -> "Timing":
+        """Return the times of the next tick."""
+        elapsed = now - self.now
+        moving = self.moving + min(elapsed, LONGEST_TICK)
+        longer = streaming and elapsed > self.gap
+        gap, gap_at = (elapsed, self.now) if longer else (self.gap, self.gap_at)
+        return Timing(now, self.now, moving, real, streaming, gap, gap_at)
 
     @property
     def elapsed(self) -> float:

@@ -32,6 +32,7 @@ def outcome_object(
         "swing": swing_object(flown_swing(plan, result.trace)),
         "duration": statistics.duration,
         "setpoints": statistics.setpoints,
+        "setpoint_gap": {"seconds": statistics.gap[0], "at": statistics.gap[1]},
         "setpoint_lateness": {"median": lateness[0], "p99": lateness[1]} if lateness else None,
         "cpu_load": statistics.cpu,
         "command_latency": {"median": latency[0], "max": latency[1]} if latency else None,

@@ -78,6 +78,7 @@ def _figures(plan: Plan, outcome: Mapping[str, Any]) -> list[tuple[str, object]]
         ("largest tracking error in the fold", metres(largest_fold_error(outcome) or np.nan)),
         ("chord of the tautest segment", "–" if chord is None else f"{chord:.1%}"),
         ("setpoints sent", outcome["setpoints"]),
+        ("longest time between setpoints", f"{outcome['setpoint_gap']['seconds']:.2f} s"),
         ("ms late (median, 99 %)", _lateness(outcome["setpoint_lateness"])),
         ("packets lost", sum(outcome["packets_lost"].values())),
     ]

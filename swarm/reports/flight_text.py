@@ -24,6 +24,9 @@ def print_outcome(
     console: Console,
 ) -> None:
     """Print the verdict, flown beside certified distances, tracking error and timing."""
+    if result.stall:
+        line = f"[bold red]{result.stall[0].upper()}{result.stall[1:]}.[/]"
+        console.print(line, highlight=False, soft_wrap=True)
     outcome = outcome_object(plan, result, verification, assessment)
     print_verdict(flight_verdict(plan, outcome), console)
     if not result.basis.cable and len(plan.layout.lengths):
@@ -35,7 +38,8 @@ def print_outcome(
         line = f"Swing of the cable: {swing.words}"
         console.print(line, highlight=False, soft_wrap=True)
     statistics = result.statistics
-    line = f"{statistics.duration:.0f} s of flight, {statistics.setpoints} setpoints"
+    line = f"{statistics.duration:.0f} s of flight, {statistics.setpoints} setpoints, "
+    line += f"at most {statistics.gap[0]:.2f} s apart"
     if statistics.lateness:
         line += f", late by {statistics.lateness[0] * 1e3:.2f} ms (median), "
         line += f"{statistics.lateness[1] * 1e3:.1f} ms (99 %)"

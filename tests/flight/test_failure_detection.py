@@ -7,6 +7,10 @@ import pytest
 from sitl.faults.scenario import Fault
 from swarm.flight.setup import Options
 from swarm.mission.fleet import emulated_fleet
+from swarm.simulation.fault_injection.stepped_simulation import (
+    SteppedSimulation,
+    failure_test_fleet,
+)
 from swarm.simulation.loop import simulate_flight
 from tests.network import Network, small_plan, uncleared
 
@@ -67,3 +71,48 @@ def test_a_vehicle_that_a_fallen_neighbour_pulls_down_for_a_moment_stays_in_the_
     assert flight.conductor.finished.explanation == failures[0].message.removeprefix("falling: ")
     assert not flight.emulator.truth().gripped.any()
     assert flight.emulator.bodies.crashed.tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("seconds", [0.4, 1.0, 3.0])
+def test_a_stall_of_the_ground_station_is_its_own_failure_and_no_silence_of_vehicles(seconds):
+    """What the vehicles sent meanwhile is lost: sockets keep it no longer either."""
+    stalls = SteppedSimulation.create(PLAN, failure_test_fleet(3, "ardupilot"), 1)
+    while stalls.conductor.clock.time < PLAN.plan.phase("fold").start + 3.0:
+        stalls.step()
+    stalls.events.clear()
+    began = stalls.now
+    while stalls.now < began + seconds:
+        stalls.step(station=False)
+    while stalls.now < began + seconds + 15.0 and stalls.conductor.finished is None:
+        stalls.step()
+    failures = [event for event in stalls.events if event.kind == "failure"]
+    assert not any("silent" in event.message or "link" in event.message for event in failures)
+    gap, at = stalls.conductor.statistics().gap
+    assert (gap, at) == (pytest.approx(seconds + 0.05), pytest.approx(began))
+    if seconds <= 0.5:
+        assert failures == []
+        return
+    words = f"the ground station stood still for {gap:.1f} s and sent no setpoint"
+    assert failures[0].message == f"ground station stalled: {words}"
+    assert failures[0].vehicle is None
+    if stalls.conductor.state.ending.failure is not None:
+        assert stalls.conductor.state.ending.failure.startswith(words)
+    else:
+        assert not stalls.conductor.holding
+        assert "all vehicles follow the setpoints again" in [one.message for one in stalls.events]
+
+
+def test_a_vehicle_that_is_silent_before_a_stall_is_still_found_silent():
+    """Also where the ground station stalls again and again: only the time that it runs counts."""
+    flight = Network(PLAN)
+    flight.until_phase("fold", 3.0)
+    began, silent = flight.now, flight.conductor.flyers[1].system
+    flight.downlink = lambda _now, system, _data: system != silent
+    while not flight.words("failure"):
+        flight.once()
+        if flight._tick % 4 == 0:
+            flight._tick += 8
+            flight.emulator.step(flight._tick * flight.step)
+        assert flight.now < began + 5.0
+    assert flight.words("failure") == ["silent: vehicle 2 has been silent for 0.7 s"]
+    assert flight.now > began + 1.0

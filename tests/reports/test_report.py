@@ -91,6 +91,7 @@ def outcome(**changed: Any) -> dict[str, Any]:
         ],
         "duration": 92.0,
         "setpoints": 1000,
+        "setpoint_gap": {"seconds": 0.05, "at": 0.0},
         "setpoint_lateness": None,
         "packets_lost": {"1": 2},
         "notes": ["segment 3 was reported 101 % of its length apart"],

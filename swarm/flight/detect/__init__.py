@@ -16,6 +16,7 @@ from swarm.flight.detect.standstill import (
     HoldTimeoutDetector,
     StandstillDetector,
 )
+from swarm.flight.detect.station import StationDetector
 from swarm.flight.detect.tracking import TrackingDetector
 from swarm.flight.failures import Finding
 from swarm.flight.observation import Expected, Observation
@@ -39,6 +40,7 @@ class Detector(Protocol):
 class Detectors:
     """All detectors of a flight."""
 
+    station: StationDetector
     reports: ReportDetector
     links: LinkDetector
     motion: MotionDetector
@@ -58,6 +60,7 @@ class Detectors:
         carried = setup.carries_cable and not options.open_loop
         paced = not options.open_loop and options.error_limit is None
         return cls(
+            station=StationDetector(),
             reports=ReportDetector(reported),
             links=LinkDetector(fleet.limits, reported),
             motion=MotionDetector(n, reported, cable=setup.carries_cable),
@@ -76,6 +79,7 @@ class Detectors:
         yield IN_FLIGHT, self.motion
         yield IN_FLIGHT, self.health
         yield IN_FLIGHT, self.heights
+        yield ON_PLAN, self.station
         yield ON_PLAN, self.grip_slip
         yield ON_PLAN, self.tracking
         yield ON_PLAN, self.hold_timeout
