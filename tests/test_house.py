@@ -106,8 +106,3 @@ def test_functions_have_few_parameters() -> None:
             if count > most:
                 found.append(f"{named(path, node)}: {node.name} has {count}")
     assert found == []
-
-
-def test_files_are_short() -> None:
-    lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in SOURCES}
-    assert [f"{path}: {count}" for path, count in lengths.items() if count > 400] == []
