@@ -130,7 +130,7 @@ def violations(plan: Plan, *, swinging: bool = True) -> tuple[Moment, ...]:
 
 def _violations(family: Family) -> list[Moment]:
     seconds, initial = family.doubtful()
-    minima = smallest_in_boxes(family.evaluate, seconds, initial)
+    minima = smallest_in_boxes(family.evaluate, seconds, initial, family.tolerance)
     failing = np.flatnonzero(minima.low < 0.0)
     return [_moment(family, int(seconds.group[k]), minima, int(k)) for k in failing]
 

@@ -124,14 +124,16 @@ def smallest(
     return Minima(np.where(low < np.inf, low, -np.inf), high, time, place, count)
 
 
-def smallest_in_boxes(evaluate: Evaluator, boxes: Boxes, initial: int = 0) -> Minima:
-    """Return the smallest margin of every given box where it is negative."""
+def smallest_in_boxes(
+    evaluate: Evaluator, boxes: Boxes, initial: int = 0, tolerance: float = TOLERANCE
+) -> Minima:
+    """Return the smallest margin of every given box where it is negative, to a tolerance."""
     alone = replace(boxes, group=np.arange(len(boxes)))
 
     def of_pair(cut: Boxes) -> Enclosure:
         return evaluate(replace(cut, group=boxes.group[cut.group]))
 
-    return smallest(of_pair, len(boxes), alone, below=0.0, initial=initial)
+    return smallest(of_pair, len(boxes), alone, below=0.0, initial=initial, tolerance=tolerance)
 
 
 def failing(

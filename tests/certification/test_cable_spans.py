@@ -14,6 +14,7 @@ from swarm.certification.clearances import (
     STILL_AIR,
     certified,
     tightest_moments,
+    violations,
 )
 from swarm.certification.compared_pairs import exempt_length
 from swarm.certification.motion_file import plan_of_motion, read_motion
@@ -227,6 +228,7 @@ def test_a_vehicle_below_the_floor_is_refused_in_every_phase(depth):
     assert "m below the floor: vehicle 1 (at " in ground.message
     standing = plan_of(moving([0.0, 4.0, 16.0], [*places[:2], [[0, 0, 0.0], [2.5, 0, 0.0]]]), [3.0])
     assert errors(assess(replace(standing, phases=phases)).findings) == set()
+    assert violations(replace(standing, phases=phases)) == (), "nothing to repair"
 
 
 FENCE = "workspace.fence=[[-5,-5],[5,-5],[5,{0}],[-5,{0}]]"
