@@ -165,13 +165,22 @@ def read_rows(path: Path) -> dict[str, dict[str, Any]]:
     for number, line in enumerate(lines, start=1):
         try:
             row = parse_json(line, str(path))
-            rows[row["knot"]] = {name: row[name] for name in COLUMNS}
+            rows[row["knot"]] = {name: _typed(name, row[name]) for name in COLUMNS}
         except (InputError, TypeError, KeyError):
             if line.startswith("{") and not line.endswith(("}", "\n")):
                 break
             place = f"{path}: line {number}"
             raise InputError([Problem(place, "expected a row that --plan wrote")]) from None
     return rows
+
+
+def _typed(name: str, value: Any) -> Any:
+    """Return the value of a column; raises TypeError for one of another type."""
+    kind = {"knot": str, "cleared": bool, "message": str}.get(name)
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (isinstance(value, kind) if kind else value is None or number):
+        raise TypeError(name)
+    return value
 
 
 def append_row(path: Path, row: Mapping[str, Any]) -> None:

@@ -233,6 +233,8 @@ def test_an_unknown_knot_is_reported_together_with_wrong_keys(tmp_path: Path) ->
         "dt: [4, 6, 2]",
         "dt: {4, 6, 2}",
         "dt: 'DT: [(4, 6, 2)]'",
+        "dt: 'DTCode[4, 6, 2]'",
+        "gauss: 'GaussCode[-1, 2, -3, 1, -2, 3]'",
         "pd: 'PD[X[1,5,2,4],X[3,1,4,6],X[5,3,6,2]]'",
         "pd: X(1,5,2,4) X(3,1,4,6) X(5,3,6,2)",
         "pd: 1 5 2 4; 3 1 4 6; 5 3 6 2",

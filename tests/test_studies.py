@@ -13,9 +13,11 @@ from swarm.studies import (
     COLUMNS,
     COMPOSITE_AND_TORUS,
     FrontPoint,
+    append_row,
     knots_to_plan,
     mark_dominated,
     numbers_of_vehicles,
+    read_rows,
 )
 
 ROW = dict.fromkeys(COLUMNS) | {
@@ -92,6 +94,15 @@ def test_a_knot_that_cannot_be_planned_still_has_its_row(tmp_path: Path) -> None
 )
 def test_contradicting_options_are_a_usage_error(arguments: list[str], message: str) -> None:
     assert message in said(*arguments)
+
+
+def test_a_row_that_an_interrupt_cut_off_is_written_anew(tmp_path: Path) -> None:
+    kept = tmp_path / "rows.jsonl"
+    whole = json.dumps(ROW) + "\n"
+    kept.write_text(whole + whole[:40])
+    assert list(read_rows(kept)) == [ROW["knot"]]
+    append_row(kept, ROW | {"knot": "4_1"})
+    assert list(read_rows(kept)) == [ROW["knot"], "4_1"]
 
 
 def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:

@@ -37,6 +37,9 @@ def print_planned(options: PlanOptions, *, as_json: bool) -> int:
     count = (f"vehicles.count={options.vehicles}",) if options.vehicles else ()
     rows = read_rows(options.output) if options.output else {}
     remaining = [name for name in names if name not in rows]
+    if rows:
+        kept = f"{len(names) - len(remaining)} of {len(names)} knots"
+        click.echo(f"{options.output}: {kept} as read, not planned or certified again", err=True)
     interrupted = False
     planned = plan_rows(
         remaining,

@@ -34,14 +34,32 @@ def raised(
     fits = highest + plan.mission.vehicles.grip_offset <= plan.mission.workspace.ceiling
     if not (is_bare(fleet, no_cable=no_cable) and grabs and fits):
         return flight_plan
-    lifted = replace(plan, motion=_lifted(plan))
+    lifted = _lifted(plan)
     return CableFreeFlight(lifted, certify(without_cable(lifted)), "raised")
 
 
-def _lifted(plan: Plan) -> Motion:
-    """Return the motion that climbs RAISED higher in the first piece, from rest to rest."""
-    times, coefficients = plan.motion.times, plan.motion.coefficients.copy()
-    powers = (times[1] - times[0]) ** np.arange(3, 6)
+def _lifted(plan: Plan) -> Plan:
+    """Return the plan whose first piece, from rest to rest, climbs RAISED higher.
+
+    It takes as much longer as the least climb becomes higher, so that no vehicle is faster.
+    """
+    times, coefficients = plan.motion.times.copy(), plan.motion.coefficients.copy()
+    first = float(times[1] - times[0])
+    low, high = plan.motion.at(times[:2])[0][..., 2]
+    longer = 1.0 + RAISED / float((high - low).min())
+    coefficients[0] /= longer ** np.arange(6)[:, None, None]
+    powers = (longer * first) ** np.arange(3, 6)
     coefficients[0, 3:, :, 2] += RAISED * (np.array([10.0, -15.0, 6.0]) / powers)[:, None]
     coefficients[1:, 0, :, 2] += RAISED
-    return Motion(times, coefficients)
+    delay = (longer - 1.0) * first
+    times[1:] += delay
+
+    def later(time: float) -> float:
+        return time + delay if time > plan.motion.times[0] else time
+
+    return replace(
+        plan,
+        motion=Motion(times, coefficients),
+        phases=tuple(replace(p, start=later(p.start), end=later(p.end)) for p in plan.phases),
+        gates=tuple(replace(gate, time=later(gate.time)) for gate in plan.gates),
+    )

@@ -129,15 +129,17 @@ def _of_name(parsed: ParsedName, required: str | None) -> KnotChoice:
         factors = parsed.factors if chirality in {right, "none"} else _mirror(parsed.factors)
         return _of_factors(factors, ())
     shape = torus_grid(*parsed.torus)
-    known = identify_diagram(Diagram(shape.code))
-    if known.name in knot_table():
-        return _of_name(parse_name(known.name), own or required)
+    crossings = min(p * (q - 1) for p, q in (parsed.torus, parsed.torus[::-1]))
+    # The table has every knot to some number of crossings: a larger one is not searched in it.
+    if crossings <= max(knot.crossings for knot in knot_table().values()):
+        known = identify_diagram(Diagram(shape.code))
+        if known.name in knot_table():
+            return _of_name(parse_name(known.name), own or required)
     name = "torus({},{})".format(*parsed.torus)
     chirality = _resolve_chirality(is_chiral=True, known=own, required=required, knot=name)
     if chirality == "left":
         shape = mirrored_grid(shape)
     diagram = simplified(Diagram(shape.code))
-    crossings = min(p * (q - 1) for p, q in (parsed.torus, parsed.torus[::-1]))
     grid = smallest_grid(shape, target=shape.size)
     warning = f"{name} is not in the table: it can be identified only by its Gauss code"
     return KnotChoice(

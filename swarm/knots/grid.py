@@ -8,7 +8,7 @@ two grid diagrams of one knot, and preserve the knot.
 
 from collections import Counter
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -283,6 +283,7 @@ def openings(grid: Grid, *, limit: int | None = None) -> tuple[OpenGrid, ...]:
     return tuple(result.values())[:limit]
 
 
+@lru_cache(maxsize=16)  # the same grid is scored again where a search finds no other
 def best_opening(grid: Grid) -> tuple[int, int] | None:
     """Return crossings and total edge length of the best opening; None without an opening."""
     found = _free_corners(grid, 0)

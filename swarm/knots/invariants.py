@@ -41,6 +41,9 @@ MAX_SEARCHED_CROSSINGS = 64
 _KICKS = 60
 """Reroutings of equal length in the simplification of a part with more than ten crossings."""
 
+_MOST_KICKED = 300
+"""Most crossings of a part for these: 227 take 13 s, and a part stays that large afterwards."""
+
 _MOVES, _VIEWS = 50_000, 60
 """Moves of the grid search for such a part, and grid diagrams of it that are simplified."""
 
@@ -124,7 +127,7 @@ def minimal_summands(diagram: Diagram) -> tuple[Diagram, ...]:
     parts = summands(simplified(diagram))
     result: list[Diagram] = []
     for part in parts:
-        if part.crossings <= MAX_TABLE_CROSSINGS:
+        if part.crossings <= MAX_TABLE_CROSSINGS or part.crossings > _MOST_KICKED:
             result.append(part)
         else:
             result.extend(_smaller(part))

@@ -11,11 +11,11 @@ _GROUP = re.compile(r"[\[({]([^\[\](){}]*)[\])}]")
 
 
 def dt_entries(code: Any) -> Any:
-    """Return the entries of a DT code such as ``4 6 2``, ``[4, 6, 2]`` or ``DT:[(4,6,2)]``."""
+    """Return the entries of a DT code: ``4 6 2``, ``DT:[(4,6,2)]``, ``DTCode[4, 6, 2]``."""
     code = _unbraced(code)
     if not isinstance(code, str):
         return code
-    return _integers(re.sub(r"^\s*DT\s*:?", "", code, flags=re.IGNORECASE), code)
+    return _integers(re.sub(r"^\s*DT(Code)?\s*:?", "", code, flags=re.IGNORECASE), code)
 
 
 def pd_rows(code: Any) -> Any:
@@ -31,8 +31,10 @@ def grid_columns(code: Any) -> Any:
 
 
 def gauss_text(code: Any) -> Any:
-    """Return the text of a Gauss code that is a list, such as ``[-1, 2, -3, 1, -2, 3]``."""
+    """Return the text of a Gauss code that is a list, as ``GaussCode[-1, 2, -3, 1, -2, 3]`` is."""
     code = _unbraced(code)
+    if isinstance(code, str) and (found := re.fullmatch(r"\s*GaussCode\s*(\[.*\])\s*", code)):
+        code = _integers(found[1], code)
     if not isinstance(code, list | tuple) or any(isinstance(one, list | bool) for one in code):
         return code
     return " ".join(str(one) for one in code)

@@ -1,6 +1,7 @@
 """PX4 and ArduPilot behaviour that a flight must tolerate: slow boots, odd modes, few heartbeats."""
 
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +12,14 @@ from swarm.flight.bench_flight import RAISED, raised
 from swarm.flight.conductor import Conductor
 from swarm.flight.failures import FailureKind
 from swarm.flight.setup import Options
+from swarm.front.files import load_mission
 from swarm.mavlink.packets import CURRENT_MODE, Decoder
 from swarm.mission.fleet import emulated_fleet
+from swarm.planner import plan as plan_mission
 from tests.network import Network, small_plan
 
 PLAN = small_plan()
+MISSIONS = Path(__file__).parents[2] / "missions"
 
 
 def network(autopilots, frame="gps", **options) -> Network:
@@ -103,18 +107,35 @@ def bare(plan=PLAN):
 def test_vehicles_without_grippers_never_touch_the_ground_on_their_way():
     fleet = emulated_fleet(3).model_copy(update={"gripper": "none"})
     higher = raised(PLAN, fleet, no_cable=True).plan
-    times = np.linspace(0.0, PLAN.plan.duration, 400)
-    one, other = PLAN.plan.motion.at(times), higher.motion.at(times)
-    first = higher.motion.times[1]
-    up = other[0][..., 2] - one[0][..., 2]
-    assert up[0] == pytest.approx(0.0)
-    assert up[times >= first] == pytest.approx(RAISED)
-    assert np.all(np.diff(up, axis=0) >= -1e-9)
-    assert np.abs(other[2]).max() < PLAN.plan.mission.vehicles.max_acceleration
-    assert other[0][..., :2] == pytest.approx(one[0][..., :2])
+    before, first = PLAN.plan.motion.times[1], higher.motion.times[1]
+    climb, slower = (
+        PLAN.plan.motion.at(np.linspace(0.0, before, 100)),
+        higher.motion.at(np.linspace(0.0, first, 100)),
+    )
+    assert np.all(np.diff(slower[0][..., 2], axis=0) >= -1e-9)
+    assert slower[0][..., :2] == pytest.approx(climb[0][..., :2])
+    for faster, less in zip(climb[1:], slower[1:], strict=True):
+        assert np.abs(less).max() <= np.abs(faster).max() + 1e-9
+    times = np.linspace(before, PLAN.plan.duration, 400)
+    one, other = PLAN.plan.motion.at(times), higher.motion.at(times + (first - before))
+    up = other[0] - one[0]
+    assert up[..., 2] == pytest.approx(RAISED)
+    assert up[..., :2] == pytest.approx(0.0, abs=1e-9)
+    for after, before_it in zip(other[1:], one[1:], strict=True):
+        assert after == pytest.approx(before_it, abs=1e-9)
+    for kind in ("phases", "gates"):
+        assert len(getattr(higher, kind)) == len(getattr(PLAN.plan, kind))
+    assert higher.phases[-1].end == higher.duration == pytest.approx(times[-1] + first - before)
     with_grippers = emulated_fleet(3)
     assert raised(PLAN, with_grippers, no_cable=True) is PLAN
     assert raised(PLAN, fleet, no_cable=False) is PLAN
+
+
+def test_the_recommended_first_steps_fly_without_cable():
+    mission = load_mission(str(MISSIONS / "first-steps" / "two_carry.yaml"))
+    planned = plan_mission(mission, robustness=False).certified()
+    fleet = emulated_fleet(2).model_copy(update={"gripper": "none"})
+    assert raised(planned, fleet, no_cable=True).plan is not planned.plan
 
 
 def test_a_team_that_wanders_as_simulated_ones_do_flies_to_the_end(monkeypatch):

@@ -1,6 +1,7 @@
 """``swarm knots`` and ``swarm identify`` in the terminal and in scripts."""
 
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -157,6 +158,18 @@ def test_a_curve_that_is_closed_onto_itself_is_refused(tmp_path: Path) -> None:
     assert "0_1" in run("identify", file).output
     with pytest.raises(InputError, match=r"line.csv: line 1: the curve goes back along itself"):
         run("identify", file, "--closed")
+
+
+def test_the_largest_torus_knots_are_not_searched_in_the_table() -> None:
+    began = time.process_time()
+    assert json.loads(run("knots", "torus(30,31)", "--json").output)["crossings"] == 899
+    assert time.process_time() - began < 10.0  # it took 45 s
+
+
+def test_a_tangle_is_refused_that_would_take_hours(tmp_path: Path) -> None:
+    points = np.random.default_rng(1).normal(size=(200, 3))
+    with pytest.raises(InputError, match="3563 crossings are left after the simple moves; at most"):
+        run("identify", write(tmp_path / "tangle.csv", rows(points)))
 
 
 def test_a_torus_knot_that_no_team_can_fly_is_refused_at_once() -> None:
