@@ -22,7 +22,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from sitl.world import WorldError, explain, parse_yaml, read_text
 
-Vector = tuple[float, float, float]
+_Metres = Annotated[float, Field(ge=-1e4, le=1e4)]
+_Wind = Annotated[float, Field(ge=-100.0, le=100.0)]
 _Share = Annotated[float, Field(ge=0.0, le=1.0)]
 _NotNegative = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
 _Seconds = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
@@ -104,7 +105,7 @@ class Fault(BaseModel):
         default=0.7, description="remaining share of the thrust, or of the clock's rate"
     )
     charge: _Share = Field(default=0.1, description="remaining share of the battery's charge")
-    offset: Vector = Field(
+    offset: tuple[_Metres, _Metres, _Metres] = Field(
         default=(5.0, 0.0, 0.0), description="metres by which the position or origin jumps, ENU"
     )
     rate: Annotated[float, Field(ge=-5, le=5)] = Field(
@@ -114,7 +115,7 @@ class Fault(BaseModel):
         default="Resolve system health failures first",
         description="reason of the refusal",
     )
-    steady: Vector | None = Field(
+    steady: tuple[_Wind, _Wind, _Wind] | None = Field(
         default=None,
         description="steady wind, m/s, ENU, to where it blows; none: unchanged",
     )
@@ -129,7 +130,7 @@ class Fault(BaseModel):
         gt=0,
         description="newtons above which a snag slides; none: it never slides",
     )
-    slide: Annotated[float, Field(ge=-1e4, le=1e4)] | None = Field(
+    slide: _Metres | None = Field(
         default=None,
         description="metres by which the grip moves along the cable; none: the cable leaves it",
     )

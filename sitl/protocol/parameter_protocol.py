@@ -4,6 +4,8 @@ import zlib
 from collections.abc import Callable
 from typing import Any
 
+from pydantic import ValidationError
+
 from sitl.protocol import wire
 from sitl.protocol.links import Link
 from sitl.protocol.vehicle import Vehicle, addressed
@@ -91,11 +93,18 @@ def _param_read(v: Vehicle, message: Any, link: Link) -> None:
 
 
 def set_parameter(v: Vehicle, name: str, value: float) -> None:
-    """Set a parameter that the vehicle has; its autopilot and injected faults follow."""
-    v.parameters.values[name] = value
+    """Set a parameter that the vehicle has; its autopilot and injected faults follow.
+
+    A value that describes no possible fault is not taken.
+    """
+    before, v.parameters.values[name] = v.parameters.values[name], value
     v.autopilot.parameter_changed(name)
     if name.startswith("SIM_") and v.on_sim_parameter is not None:
-        v.on_sim_parameter(name, v.parameters.values)
+        try:
+            v.on_sim_parameter(name, v.parameters.values)
+        except ValidationError:
+            v.parameters.values[name] = before
+            v.on_sim_parameter(name, v.parameters.values)
 
 
 def _param_set(v: Vehicle, message: Any, _: Link) -> None:

@@ -25,6 +25,7 @@ SETPOINT_LENGTH = _WHOLE_SETPOINT.size
 _WHOLE, _NUMBER = b"\xfd\x35\0", bytes([SETPOINT_LOCAL, 0, 0])
 _HEADER_LENGTH = 10
 _TICKS_PER_SECOND = 100_000
+_LARGEST_TICKS = 2**48 - 1
 _crc: Callable[..., int] = crc16.mcrf4xx
 
 
@@ -144,8 +145,11 @@ class Signer:
         self.timestamp = timestamp
 
     def sign(self, frame: bytes, now_ticks: int) -> bytes:
-        """Return the 13 bytes that sign a frame; timestamps strictly increase."""
-        self.timestamp = max(self.timestamp + 1, now_ticks)
+        """Return the 13 bytes that sign a frame; timestamps strictly increase.
+
+        A timestamp has six bytes: as in MAVLink's library, more are cut off.
+        """
+        self.timestamp = max(self.timestamp + 1, now_ticks) & _LARGEST_TICKS
         tail = bytes([self.link]) + self.timestamp.to_bytes(6, "little")
         return tail + hashlib.sha256(self.key + frame + tail).digest()[:6]
 

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from sitl import Emulator
 from tests.sitl.client import Ground, world
-from tests.sitl.random_packets import COMMANDS, messages, spoil
+from tests.sitl.random_packets import COMMANDS, messages, random_frame, spoil
 
 amounts = pytest.mark.parametrize(
     "trials", [6_000, pytest.param(1_000_000, marks=pytest.mark.full)]
@@ -91,6 +91,80 @@ def test_random_setpoints_are_ignored_or_flown_within_limits(trials: int) -> Non
             ground.emulator.receive(1, message.pack(mav), ground.now)
             ground.run(0.05, stay)
     assert np.abs(ground.emulator.bodies.position - before).max() < 0.1
+
+
+LIFE = 1_500
+"""Packets after which a fresh emulator takes the place of a spoiled one."""
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+@pytest.mark.parametrize("trials", [2 * LIFE, pytest.param(500_000, marks=pytest.mark.full)])
+def test_no_packet_to_one_vehicle_ends_the_emulator_of_all(autopilot: str, trials: int) -> None:
+    """Any message from any component, with any parameter and value; every other vehicle flies."""
+    rng = random.Random(12)
+    for life in range(trials // LIFE):
+        ground = Ground(Emulator(world(2, autopilot=autopilot)))
+        ground.run(1.0)
+        if life % 2:
+            _take_off(ground, autopilot)
+        first, second = ground.emulator.vehicles
+        names = list(first.parameters.values)
+        simulated = [name for name in names if name.startswith("SIM_")]
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            for trial in range(LIFE):
+                known = simulated if rng.random() < 0.3 else names
+                frame = random_frame(rng, rng.choice([0, 1, 77, 255]), rng.randrange(256), known)
+                data = frame if rng.random() < 0.9 else spoil(frame, rng)
+                ground.emulator.receive(1, data, ground.now)
+                if trial % 20 == 19:
+                    first.links[0].receiver.set_key(None)  # else a random key ends the test
+                    ground.now = round(ground.now + 0.05, 6)
+                    ground.emulator.step(ground.now)
+        assert np.isfinite(ground.emulator.bodies.position).all()
+        ground.log.clear()
+        ground.run(2.5)
+        assert {system for _, system, m in ground.log if m.get_type() == "HEARTBEAT"} >= {2}
+        assert second.armed == bool(life % 2)
+
+
+def _take_off(ground: Ground, autopilot: str) -> None:
+    if autopilot == "px4":
+        ground.px4_offboard({1: (0.0, 0.0, 5.0), 2: (3.0, 0.0, 5.0)}, 3.0)
+        return
+    for number, *p in ((176, 1, 4), (400, 1), (22, 0, 0, 0, 0, 0, 0, 5.0)):
+        for vehicle in (1, 2):
+            ground.command(vehicle, number, *p)
+        ground.run(0.5)
+    ground.run(3.0)
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+@pytest.mark.parametrize("value", [2**48, 2**64 - 1])
+def test_a_signing_time_of_more_than_six_bytes_is_cut_off(autopilot: str, value: int) -> None:
+    ground = Ground(Emulator(world(2, autopilot=autopilot)))
+    ground.send(1, dialect.MAVLink_setup_signing_message(1, 1, list(range(32)), value))
+    ground.log.clear()
+    ground.run(2.0)
+    assert {system for _, system, _ in ground.log} == {1, 2}
+    assert ground.emulator.vehicles[0].links[0].sender.signer is not None
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("SIM_LINK_DELAY", 1e9), ("SIM_LINK_JITTER", 3e38), ("SIM_FREEZE", 1e9),
+     ("SIM_ORIGIN_E", 1e30), ("SIM_GPS1_GLTCH_X", 3e38), ("SIM_WIND_SPD", 1e6)],
+)  # fmt: skip
+def test_a_value_that_describes_no_fault_is_not_taken(
+    autopilot: str, name: str, value: float
+) -> None:
+    ground = Ground(Emulator(world(2, autopilot=autopilot)))
+    before = ground.emulator.vehicles[0].parameters[name]
+    ground.send(1, dialect.MAVLink_param_set_message(1, 1, name.encode(), value, 9))
+    ground.run(0.5)
+    assert ground.last[1, "PARAM_VALUE"].param_value == before
+    assert not ground.emulator.injector.active
 
 
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
