@@ -77,8 +77,10 @@ class Network:
 
     ``uplink`` and ``downlink`` say which packets get through; ``delay`` is added to each way with
     a uniform ``jitter``, so that packets may overtake each other; ``loss`` and ``duplication`` are
-    shares. The conductor hears packets ``early`` seconds before it next acts, as it does on
-    sockets, where they come between its ticks. ``speed`` is virtual over real time.
+    shares. Shares of the packets to the conductor are ``late`` or ``copied``: they, or a second
+    copy of them, arrive ``lateness`` seconds later. The conductor hears packets ``early`` seconds
+    before it next acts, as it does on sockets, where they come between its ticks. ``speed`` is
+    virtual over real time.
     """
 
     flight_plan: FlightPlan
@@ -89,6 +91,9 @@ class Network:
     jitter: float = 0.0
     loss: float = 0.0
     duplication: float = 0.0
+    late: float = 0.0
+    copied: float = 0.0
+    lateness: float = 0.0
     early: float = 0.0
     speed: float = 1.0
     uplink: Keep = lambda *_: True
@@ -156,6 +161,11 @@ class Network:
             if self._rng.random() < self.loss:
                 continue
             arrival = now + self.delay + self.jitter * self._rng.random()
+            if not up and self.late and self._rng.random() < self.late:
+                arrival += self.lateness
+            heapq.heappush(self._flying, (arrival, next(self._order), up, system, data))
+        if not up and self.copied and self._rng.random() < self.copied:
+            arrival = now + self.lateness
             heapq.heappush(self._flying, (arrival, next(self._order), up, system, data))
 
     def _deliver(self, now: float) -> None:

@@ -8,7 +8,10 @@ Errors are:
   go to the first address only, and two vehicles that were switched on together look the same. A
   redundant path to one vehicle needs a link of its own in the fleet file;
 - an autopilot other than the fleet file lists;
-- a boot clock that goes back again and again: two vehicles behind one address.
+- two components that are autopilots, or two answers with different times to one request: two
+  vehicles behind one address.
+
+Components that are not autopilots, such as cameras, may have addresses of their own.
 """
 
 from collections.abc import Hashable, Iterator, Mapping
@@ -17,7 +20,7 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import common
 
 from swarm.certification.findings import Finding
-from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
+from swarm.mavlink.autopilots import Autopilot, flying_autopilot
 from swarm.mavlink.packets import Packet
 from swarm.mavlink.vehicle import Vehicle
 
@@ -29,8 +32,6 @@ LASTING = 2.0
 """Seconds for which clocks must differ: after a restart one of two paths shows it first, and
 packets that waited in a socket are old. Clocks of simulators drift by seconds, but alike on all
 paths."""
-CLOCK_RESETS = 3
-"""Resets of a clock before take-off that are an error: a vehicle may be restarted once or twice."""
 _WORDS = {"px4": "PX4", "ardupilot": "ArduPilot"}
 _HEARTBEAT = int(common.MAVLINK_MSG_ID_HEARTBEAT)
 _TIMESYNC = int(common.MAVLINK_MSG_ID_TIMESYNC)
@@ -42,14 +43,15 @@ class Place:
     """A link and an address from which a system id is received.
 
     ``trusted`` says whether packets from there count as the vehicle's. ``autopilots`` are the kinds
-    in its heartbeats; ``differs`` has since when its clock differs from the vehicle's, by message
-    number, ``apart`` by how much, and when that was last received.
+    in its heartbeats, ``components`` their senders; ``differs`` has since when its clock differs
+    from the vehicle's, by message number, ``apart`` by how much, and when that was last received.
     """
 
     link: str
     address: Address | None
     trusted: bool
     autopilots: set[str] = field(default_factory=set)
+    components: set[int] = field(default_factory=set)
     differs: dict[int, float] = field(default_factory=dict)
     apart: dict[int, tuple[float, float]] = field(default_factory=dict)
 
@@ -87,23 +89,27 @@ class Identities:
     listed: dict[int, Autopilot | None]
     _places: dict[int, dict[tuple[str, Address | None], Place]] = field(default_factory=dict)
 
-    def heartbeat(self, system: int, link: str, address: Address | None, autopilot: int) -> None:
-        """Add the autopilot in a heartbeat from the vehicle's address."""
-        known = AUTOPILOTS.get(autopilot)
-        if known is not None:
-            self._place(system, link, address, trusted=True).autopilots.add(known.name)
+    def heartbeat(
+        self, system: int, link: str, address: Address | None, component: int, autopilot: str
+    ) -> None:
+        """Add an autopilot that sends a heartbeat from the vehicle's address."""
+        place = self._place(system, link, address, trusted=True)
+        place.autopilots.add(autopilot)
+        place.components.add(component)
 
     def elsewhere(
         self, vehicle: Vehicle, packet: Packet, link: str, address: Address | None, now: float
     ) -> None:
-        """Add a packet of a vehicle's system id from another address."""
-        place = self._place(packet.system, link, address, trusted=False)
+        """Add a packet of an autopilot with a vehicle's system id from another address."""
         message = packet.message
         if message is None:
             return
-        if packet.number == _HEARTBEAT and message.autopilot in AUTOPILOTS:
-            place.autopilots.add(AUTOPILOTS[message.autopilot].name)
-        elif packet.number == _POSITION and vehicle.boot_ms >= 0:
+        if packet.number == _HEARTBEAT and (kind := flying_autopilot(message)) is not None:
+            self._place(packet.system, link, address, trusted=False).autopilots.add(kind.name)
+        place = self._places.get(packet.system, {}).get((link, address))
+        if place is None:
+            return
+        if packet.number == _POSITION and vehicle.boot_ms >= 0:
             known = vehicle.boot_ms * 1e-3 + now - vehicle.position_at
             place.compare(_POSITION, message.time_boot_ms * 1e-3 - known, now)
         elif packet.number == _TIMESYNC and message.tc1 == 0:
@@ -123,11 +129,9 @@ class Identities:
             if words:
                 yield Finding("error", "fleet", f"system {system} {words}")
         for system, vehicle in sorted(vehicles.items()):
-            if vehicle.reboots >= CLOCK_RESETS:
-                words = f"system {system}: its clock went back {vehicle.reboots} times: two "
-                words += (
-                    "vehicles have this system id behind one address, or it restarts repeatedly"
-                )
+            if vehicle.second_clock:
+                words = f"system {system}: one request was answered with two times: two vehicles "
+                words += "have this system id behind one address"
                 yield Finding("error", "fleet", words)
 
     def _conflict(self, vehicle: Vehicle, places: list[Place]) -> str:
@@ -141,6 +145,10 @@ class Identities:
         apart = max((place.apart_by for place in _others(places)), default=0.0)
         if apart:
             return f"is two vehicles: {both}, started {apart:.0f} s apart: {remedy}"
+        components = sorted(set().union(*(place.components for place in trusted)))
+        if len(components) > 1:
+            numbers = " and ".join(str(component) for component in components)
+            return f"is two autopilots, components {numbers}: {both}: {remedy}"
         listed = self.listed[vehicle.system]
         if listed is not None and kinds - {listed.name}:
             return f"is {both}, and {_WORDS[listed.name]} in the fleet file"

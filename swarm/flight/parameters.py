@@ -5,6 +5,7 @@ must end quickly; a lost ground station must end in landing, for all after the s
 Values as documented for PX4 1.16 and ArduCopter 4.6.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -320,9 +321,10 @@ def evaluate(
         if rule.unless is not None and values.get(rule.unless[0]) == rule.unless[1]:
             continue
         value = values.get(rule.name)
-        fine = value is not None and rule.good(value)
+        known = value if value is not None and math.isfinite(value) else None
+        fine = known is not None and rule.good(known)
         severity: Severity = "info" if fine else "warning" if value is None else rule.severity
-        should = rule.should if isinstance(rule.should, int | float) else rule.should(value or 0.0)
+        should = rule.should if isinstance(rule.should, int | float) else rule.should(known or 0.0)
         row = ParameterResult(system, rule.name, value, should, rule.words, rule.why, severity)
         (good if fine else wrong).append(row)
     return wrong, good
@@ -333,11 +335,12 @@ def stream_loss_model(
 ) -> StreamLossModel:
     """Return the stream-loss model of vehicles with these parameters, in order along the cable.
 
-    An unknown parameter counts as the longest time that passes the audit. A vehicle that lands when
-    its setpoints end descends until that is detected.
+    A parameter that is not known counts as the longest time that passes the audit. A vehicle that
+    lands when its setpoints end descends until that is detected.
     """
     names = {"px4": "COM_OF_LOSS_T", "ardupilot": "GUID_TIMEOUT"}
-    timeout = tuple(float(values.get(names[one], STREAM_LOSS_TIME)) for one, values in vehicles)
+    times = [float(values.get(names[one], STREAM_LOSS_TIME)) for one, values in vehicles]
+    timeout = tuple(time if math.isfinite(time) else STREAM_LOSS_TIME for time in times)
     lands = [one == "px4" and values.get("COM_OBL_RC_ACT") == 4.0 for one, values in vehicles]
     descent = tuple(limits.silence * limits.descent if one else 0.0 for one in lands)
     return StreamLossModel(timeout, limits.silence, descent)

@@ -48,12 +48,10 @@ def readiness(vehicles: Sequence[Vehicle], fleet: Fleet, now: float) -> list[Fin
 
 
 def _problems(vehicle: Vehicle, fleet: Fleet, now: float) -> list[tuple[str, str]]:
-    if vehicle.heartbeat_at == -math.inf:
-        return [("heard", "no heartbeat")]
+    if vehicle.heartbeat_at == -math.inf or vehicle.autopilot is None:
+        return [("heard", "no heartbeat of a PX4 or ArduPilot")]
     if now - vehicle.received_at > fleet.limits.silence + 1.0:
         return [("heard", f"silent for {now - vehicle.received_at:.1f} s")]
-    if vehicle.autopilot is None:
-        return [("autopilot", "neither PX4 nor ArduPilot")]
     problems = []
     if vehicle.armed:
         problems.append(("disarmed", "is already armed"))

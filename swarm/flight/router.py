@@ -1,6 +1,7 @@
 """Assigns received packets to vehicles, and vehicles to links. Sans-IO.
 
-Only vehicles of the fleet file count, each at the address from which it was first received.
+Only vehicles of the fleet file count, each at the address from which its autopilot was first
+received.
 """
 
 import math
@@ -15,7 +16,7 @@ from pymavlink.dialects.v20 import common
 
 from swarm.certification.findings import Finding
 from swarm.flight.identities import Identities
-from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
+from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot, flying_autopilot
 from swarm.mavlink.message_handlers import HANDLED_MESSAGES
 from swarm.mavlink.packets import (
     CRC_EXTRAS,
@@ -25,6 +26,7 @@ from swarm.mavlink.packets import (
     Encoder,
     Message,
     Packet,
+    sender,
     unpack,
 )
 from swarm.mavlink.setpoints import SetpointPacker
@@ -89,7 +91,7 @@ class Team:
     def __init__(self, fleet: Fleet, report: Callable[[str, str, int | None], None]) -> None:
         """``report`` is called with kind, message and system id of events on the links."""
         named: dict[str, Autopilot] = {kind.name: kind for kind in AUTOPILOTS.values()}
-        self.telemetry = TelemetryTable(len(fleet.vehicles))
+        self.telemetry = TelemetryTable(len(fleet.vehicles), len(fleet.links))
         self.vehicles: Mapping[int, Vehicle] = {
             listed.sysid: Vehicle(listed.sysid, named.get(listed.autopilot), self.telemetry, row)
             for row, listed in enumerate(fleet.vehicles)
@@ -142,12 +144,13 @@ class Team:
                 return False
         signing = self.signing
         before = signing.dropped.total() if signing else 0
+        number = self._link_number[link]
         for packet in route.decoder.feed(data, signing):
             vehicle = route.speakers.get(packet[1]) or self._sender(route, packet, now)
             if vehicle is not None:
+                vehicle.receive(packet, now, number)
                 if packet[0] == _HEARTBEAT:
-                    self._beat(vehicle.system, route, packet.message)
-                vehicle.receive(packet, now)
+                    self._beat(vehicle.system, link, address, packet.component, packet.message)
         if signing is not None and signing.dropped.total() > before:
             self.rejected += signing.dropped.total() - before
             kinds = ", ".join(sorted(signing.dropped))
@@ -184,20 +187,20 @@ class Team:
         together = b"".join([data for _, data in arrived])
         rows = packet_rows(together)
         left = read_datagrams(
-            together, np.array(origins).reshape(-1, 3), CRC_EXTRAS, now, self.telemetry.arrays,
-            rows,
+            together, np.array(origins).reshape(-1, 3), CRC_EXTRAS, (self._link_number[link], now),
+            self.telemetry.arrays, rows,
         )  # fmt: skip
-        for which, number, component, start, end in rows[: max(left, 0)].tolist():
+        for which, number, component, start, end, order in rows[: max(left, 0)].tolist():
             message = unpack(number, together[start:end]) if number in HANDLED_MESSAGES else None
-            speakers[which].read(number, component, message, now)
-            if number == _HEARTBEAT and message is not None:
+            speakers[which].read(number, component, message, now, order)
+            if number == _HEARTBEAT:
                 system = speakers[which].system
-                self._identities.heartbeat(system, link, arrived[which][0], message.autopilot)
+                self._beat(system, link, arrived[which][0], component, message)
         return left >= 0
 
     def trusts(self, link: str, address: Address | None, packet: bytes) -> bool:
         """Return whether a packet is from its vehicle's address, and signed if it must be."""
-        system = packet[5] if packet[0] == 0xFD else packet[3]
+        system = sender(packet)[0]
         way = self._ways.get(system, {}).get(link)
         from_vehicle = way is not None and way.address == address
         return from_vehicle and (self.signing is None or self.signing.is_genuine(packet))
@@ -220,12 +223,21 @@ class Team:
             self._routes[key] = route
         return route
 
-    def _beat(self, system: int, route: Route, message: Message | None) -> None:
-        if message is not None:
-            self._identities.heartbeat(system, route.link, route.address, message.autopilot)
+    def _beat(
+        self, system: int, link: str, address: Address | None, component: int, message: Message
+    ) -> None:
+        """Note the sender of a heartbeat from a vehicle's address."""
+        kind = flying_autopilot(message)
+        if kind is not None:
+            self._identities.heartbeat(system, link, address, component, kind.name)
+        elif component != self.vehicles[system].component:
+            self._aboard(system, link, component)
 
     def _sender(self, route: Route, packet: Packet, now: float) -> Vehicle | None:
-        """Return the vehicle of a message, if this is its address."""
+        """Return the vehicle of a message, if this is its address.
+
+        That is the address of its autopilot: a camera on board may have one of its own.
+        """
         sysid = packet.system
         vehicle = self.vehicles.get(sysid)
         if vehicle is None:
@@ -233,6 +245,12 @@ class Team:
             return None
         ways = self._ways[sysid]
         known = ways.get(route.link)
+        beat = packet.number == _HEARTBEAT and packet.message is not None
+        kind = flying_autopilot(packet.message) if beat else None
+        if kind is None and packet.component != vehicle.component:
+            if beat:
+                self._aboard(sysid, route.link, packet.component)
+            return None
         if known is not None or route.link not in self._allowed[sysid]:
             self.rejected += 1
             self._identities.elsewhere(vehicle, packet, route.link, route.address, now)
@@ -243,7 +261,7 @@ class Team:
                 sysid,
             )
             return None
-        if packet.number != _HEARTBEAT:
+        if kind is None:
             return None
         ways[route.link] = route
         route.speakers[sysid] = vehicle
@@ -251,6 +269,11 @@ class Team:
         route.alone = vehicle if whole else None
         self._best[sysid] = next(ways[link] for link in self._allowed[sysid] if link in ways)
         return vehicle
+
+    def _aboard(self, system: int, link: str, component: int) -> None:
+        """Report a sender with a vehicle's system id that is not its autopilot."""
+        words = f"component {component} on link {link} is neither a PX4 nor an ArduPilot of a "
+        self._once(("aboard", system, component), "aboard", words + "rotorcraft: ignored", system)
 
     def _stranger(self, route: Route, packet: Packet) -> None:
         self.rejected += 1

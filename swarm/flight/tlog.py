@@ -22,7 +22,6 @@ from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
 from swarm.mavlink.frames import Frames
 from swarm.mavlink.message_handlers import HANDLED_MESSAGES
 from swarm.mavlink.packets import GROUND_SYSTEM, Decoder, Encoder, Packet, packet_length
-from swarm.mavlink.telemetry_table import REBOOT_STEP
 from swarm.mavlink.vehicle import Vehicle
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
@@ -171,7 +170,11 @@ class _Content:
             return
         vehicle.receive(packet, now)
         vehicle.take_events()
-        if packet.number == _POSITION:
+        if packet.component != vehicle.component:
+            return
+        if packet.number == _POSITION and message is not None:
+            if message.time_boot_ms != vehicle.boot_ms:
+                return
             self.times.setdefault(packet.system, []).append(now)
             self.boots.setdefault(packet.system, []).append(1e-3 * vehicle.boot_ms)
             self.places.setdefault(packet.system, []).append(vehicle.position)
@@ -337,7 +340,7 @@ def measurement_times(read: Sequence[float], boot: Sequence[float]) -> Floats:
     """
     arrived, own = np.array(read), np.array(boot)
     delay = arrived - own
-    booted = np.any(np.diff(own) < -1e-3 * REBOOT_STEP)
+    booted = np.any(np.diff(own) < 0.0)
     if booted or np.ptp(delay) > 0.5 * np.ptp(arrived):
         return arrived
     neighbours = sliding_window_view(np.pad(delay, _NEIGHBOURS, mode="edge"), 2 * _NEIGHBOURS + 1)

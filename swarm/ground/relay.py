@@ -1,4 +1,5 @@
-"""A loopback UDP endpoint for each vehicle, through which MAVSDK reaches it. Closed in flight.
+"""A loopback UDP endpoint for each vehicle, through which MAVSDK reaches its autopilot. Closed in
+flight.
 
 Packets are forwarded in both directions, except MAVSDK's heartbeats: with them, vehicles would
 not detect the loss of this ground station.
@@ -9,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from swarm.flight.router import Address, Outgoing, Team
-from swarm.mavlink.packets import Decoder, split_packets
+from swarm.mavlink.packets import Decoder, sender, split_packets
 
 _HEARTBEAT = 0
 _LARGEST_DATAGRAM = 65_536
@@ -46,13 +47,18 @@ class Relay:
         return {system: endpoint.port for system, endpoint in self._endpoints.items()}
 
     def from_vehicles(self, link: str, address: Address | None, data: bytes) -> None:
-        """Forward each received packet that can be trusted to the endpoint of its vehicle."""
+        """Forward each packet of an autopilot that can be trusted to the vehicle's endpoint.
+
+        MAVSDK would take the battery of a camera for the vehicle's.
+        """
         if self.closed:
             return
         for packet in split_packets(data)[0]:
-            system = packet[5] if packet[0] == 0xFD else packet[3]
+            system, component = sender(packet)
             endpoint = self._endpoints.get(system)
-            if endpoint is not None and self.team.trusts(link, address, packet):
+            if endpoint is None or component != self.team.vehicles[system].component:
+                continue
+            if self.team.trusts(link, address, packet):
                 try:
                     endpoint.ours.sendto(packet, ("127.0.0.1", endpoint.port))
                 except OSError:

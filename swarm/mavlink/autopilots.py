@@ -8,12 +8,18 @@ HEARTBEAT once a second and rejects any other rate, but sends CURRENT_MODE at ev
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from pymavlink.dialects.v20 import common
 
 from swarm.mavlink.frames import AutopilotName
 from swarm.mavlink.packets import CURRENT_MODE
+
+_ROTORCRAFT = frozenset(
+    int(getattr(common, f"MAV_TYPE_{name}"))
+    for name in ("TRICOPTER", "QUADROTOR", "COAXIAL", "HELICOPTER", "HEXAROTOR", "OCTOROTOR",
+                 "DECAROTOR", "DODECAROTOR")
+)  # fmt: skip
 
 Mode = Literal["offboard", "hold", "land"]
 
@@ -112,3 +118,12 @@ ARDUPILOT = Autopilot(
 )
 
 AUTOPILOTS: Mapping[int, Autopilot] = {kind.identifier: kind for kind in (PX4, ARDUPILOT)}
+
+
+def flying_autopilot(heartbeat: Any) -> Autopilot | None:
+    """Return the autopilot that sends a HEARTBEAT for its rotorcraft; None for anything else.
+
+    Cameras, gimbals, companion computers and ADS-B receivers on board have the same system id, and
+    some name an autopilot.
+    """
+    return AUTOPILOTS.get(heartbeat.autopilot) if heartbeat.type in _ROTORCRAFT else None

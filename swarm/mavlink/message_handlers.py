@@ -6,11 +6,20 @@ from typing import Final
 
 from pymavlink.dialects.v20 import common
 
-from swarm.mavlink.autopilots import AUTOPILOTS
+from swarm.errors import printable
+from swarm.mavlink.autopilots import flying_autopilot
 from swarm.mavlink.frames import Origin, to_local
 from swarm.mavlink.packets import CURRENT_MODE, PARAM_VALUE, Message
-from swarm.mavlink.telemetry_table import REBOOT_STEP
-from swarm.mavlink.vehicle_state import IN_AIR, ON_GROUND, VehicleState
+from swarm.mavlink.telemetry_table import (
+    ATTITUDE_TIME,
+    BOOT_TIME,
+    GLOBAL_TIME,
+    LATE,
+    follows,
+    take_position_time,
+    take_time,
+)
+from swarm.mavlink.vehicle_state import IN_AIR, ON_GROUND, TextChunks, VehicleState
 
 _ARMED = int(common.MAV_MODE_FLAG_SAFETY_ARMED)
 _PREARM = int(common.MAV_SYS_STATUS_PREARM_CHECK)
@@ -25,56 +34,85 @@ _HEIGHT_DRIFT = 0.2
 """m/s: a receiver with an accuracy of one metre is averaged over five seconds."""
 _MAX_MISMATCH = 1.0
 _MISMATCH_SAMPLES = 3
+_REBOOT_TIME = 0.5
+"""Seconds for which no other clock than the new one must be received after a reboot."""
+_CLOCK_TOLERANCE = 2.0
+"""Seconds by which packets and clocks may be late: two clocks differ by more."""
 _TEXT_LENGTH = 50
+_TEXT_TIME = 1.0
+"""Seconds within which all chunks of a text arrive: they are sent one after the other."""
+_LOST_CHUNKS = "[…]".encode()
 
 
 def _heartbeat(vehicle: VehicleState, message: Message, now: float) -> None:
-    if message.autopilot == common.MAV_AUTOPILOT_INVALID:
+    kind = flying_autopilot(message)
+    if kind is None:
         return
-    if vehicle.autopilot is None:
-        vehicle.autopilot = AUTOPILOTS.get(message.autopilot)
+    vehicle.autopilot = vehicle.autopilot or kind
     first = vehicle.heartbeat_at == -math.inf
     vehicle.heartbeat_at = vehicle.received_at = now
-    vehicle.component = vehicle.commands.component = vehicle.latest_component
     armed = bool(message.base_mode & _ARMED)
-    vehicle.system_status = message.system_status
     if first:
-        name = vehicle.autopilot.name if vehicle.autopilot else "unknown"
-        vehicle.report("discovered", f"discovered: {name}")
-    _current_mode(vehicle, message, now)
+        vehicle.report("discovered", f"discovered: {vehicle.autopilot.name}")
+    if not vehicle.believes("heartbeat", (armed, message.custom_mode)):
+        return
+    vehicle.system_status = message.system_status
+    _set_mode(vehicle, message.custom_mode, now)
     if armed != vehicle.armed:
         vehicle.armed = armed
         vehicle.report("armed" if armed else "disarmed", "armed" if armed else "disarmed")
 
 
 def _current_mode(vehicle: VehicleState, message: Message, now: float) -> None:
+    if vehicle.believes("mode", message.custom_mode):
+        _set_mode(vehicle, message.custom_mode, now)
+
+
+def _set_mode(vehicle: VehicleState, custom_mode: int, now: float) -> None:
     vehicle.mode_at = now
-    if message.custom_mode != vehicle.custom_mode:
-        vehicle.custom_mode = message.custom_mode
+    if custom_mode != vehicle.custom_mode:
+        vehicle.custom_mode = custom_mode
         vehicle.report("mode", f"mode {vehicle.mode}", vehicle.mode)
 
 
 def _local_position(vehicle: VehicleState, message: Message, now: float) -> None:
+    row, boot_ms = vehicle.values, float(message.time_boot_ms)
+    if not take_time(row, BOOT_TIME, boot_ms):
+        if not _rebooted(vehicle, boot_ms, now):
+            return
+        row[[BOOT_TIME, ATTITUDE_TIME, GLOBAL_TIME]] = -1.0
+        take_time(row, BOOT_TIME, boot_ms)
+        vehicle.report("rebooted", "rebooted: its clock went back")
+    take_position_time(row, boot_ms, now)
     vehicle.position = (message.x, message.y, message.z)
     vehicle.velocity = (message.vx, message.vy, message.vz)
-    vehicle.position_at = now
-    _boot_time(vehicle, message.time_boot_ms)
 
 
-def _boot_time(vehicle: VehicleState, boot_ms: int) -> None:
-    if boot_ms < vehicle.boot_ms - REBOOT_STEP:
-        vehicle.reboots += 1
-        vehicle.report("rebooted", "rebooted: its clock went back")
-    vehicle.boot_ms = boot_ms
+def _rebooted(vehicle: VehicleState, boot_ms: float, now: float) -> bool:
+    """Return whether positions of another clock show that the vehicle has started anew.
+
+    Late ones do not: positions of the known clock arrive between them, or they tell a longer time
+    since boot than has passed since the last of those.
+    """
+    position_at, since, last, count = vehicle.other_clock
+    if position_at != vehicle.position_at or not follows(boot_ms, last):
+        since, count = now, 0
+    vehicle.other_clock = vehicle.position_at, since, boot_ms, count + 1
+    longest = now - vehicle.position_at + _CLOCK_TOLERANCE
+    return count >= 2 and now - since >= _REBOOT_TIME and boot_ms * 1e-3 <= longest
 
 
 def _global_position(vehicle: VehicleState, message: Message, now: float) -> None:
+    if not take_time(vehicle.values, GLOBAL_TIME, float(message.time_boot_ms)):
+        return
     position = Origin(message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
     vehicle.global_position = position
     _compare_positions(vehicle, position, now)
 
 
 def _gps(vehicle: VehicleState, message: Message, now: float) -> None:
+    if not vehicle.believes("fix", message.fix_type):
+        return
     vehicle.fix_type, vehicle.satellites = message.fix_type, message.satellites_visible
     vehicle.horizontal_accuracy = message.h_acc * 1e-3 if message.h_acc else math.nan
     vehicle.vertical_accuracy = message.v_acc * 1e-3 if message.v_acc else math.nan
@@ -122,10 +160,13 @@ def _compare_positions(vehicle: VehicleState, position: Origin, now: float) -> N
 
 
 def _attitude(vehicle: VehicleState, message: Message, _now: float) -> None:
-    vehicle.attitude = (message.roll, message.pitch, message.yaw)
+    if take_time(vehicle.values, ATTITUDE_TIME, float(message.time_boot_ms)):
+        vehicle.attitude = (message.roll, message.pitch, message.yaw)
 
 
 def _global_origin(vehicle: VehicleState, message: Message, _now: float) -> None:
+    if not vehicle.believes("origin", message):
+        return
     origin = Origin(message.latitude * 1e-7, message.longitude * 1e-7, message.altitude * 1e-3)
     if vehicle.origin is not None and _distance(origin, vehicle.origin) > _ORIGIN_MOVED:
         moved = _distance(origin, vehicle.origin)
@@ -134,6 +175,8 @@ def _global_origin(vehicle: VehicleState, message: Message, _now: float) -> None
 
 
 def _extended_state(vehicle: VehicleState, message: Message, _now: float) -> None:
+    if not vehicle.believes("landed", message.landed_state):
+        return
     before, vehicle.landed_state = vehicle.landed_state, message.landed_state
     if before != vehicle.landed_state and vehicle.landed_state == ON_GROUND:
         vehicle.report("landed", "on the ground")
@@ -142,6 +185,9 @@ def _extended_state(vehicle: VehicleState, message: Message, _now: float) -> Non
 
 
 def _system_status(vehicle: VehicleState, message: Message, _now: float) -> None:
+    health = message.onboard_control_sensors_health & (_PREARM | _POSITION_SENSORS)
+    if not vehicle.believes("health", health):
+        return
     vehicle.battery = (
         message.battery_remaining / 100.0 if message.battery_remaining >= 0 else math.nan
     )
@@ -155,19 +201,56 @@ def _system_status(vehicle: VehicleState, message: Message, _now: float) -> None
 
 
 def _status_text(vehicle: VehicleState, message: Message, now: float) -> None:
-    text = message.text.split(b"\0", 1)[0].decode("utf-8", "replace")
-    if message.id:
-        key = vehicle.latest_component << 16 | message.id
-        parts = vehicle.text_chunks.setdefault(key, [])
-        parts.append(text)
-        if len(text) >= _TEXT_LENGTH and len(parts) < 16:
-            return
-        text = "".join(vehicle.text_chunks.pop(key))
-    text = text.strip()
+    read_text(vehicle, message, now, vehicle.component)
+
+
+def read_text(vehicle: VehicleState, message: Message, now: float, component: int) -> None:
+    """Read a STATUSTEXT of a component with the vehicle's system id.
+
+    Chunks are joined as bytes, since a character may have several. A chunk with less than 50 bytes
+    is the last. Id 0 stands for a text of one chunk; but PX4 counts its ids from 0, so a full chunk
+    of that id may have a successor as well.
+    """
+    raw, place = message.text.split(b"\0", 1)[0], message.chunk_seq
+    said = vehicle.said_texts.get(component)
+    if said is not None and message.id == said.id != 0 and said.chunks.get(place) == raw:
+        return
+    text = vehicle.text_chunks.get(component)
+    if text is not None and (text.id != message.id or text.chunks.get(place, raw) != raw):
+        _end_text(vehicle, component, now)
+        text = None
+    if text is None:
+        text = vehicle.text_chunks[component] = TextChunks(message.id, message.severity, now)
+    text.chunks[place] = raw
+    last = max(text.chunks)
+    if len(text.chunks) == last + 1 and len(text.chunks[last]) < _TEXT_LENGTH:
+        _end_text(vehicle, component, now)
+
+
+def end_texts(vehicle: VehicleState, now: float) -> None:
+    """Report the texts whose further chunks have not arrived in time."""
+    late = [k for k, text in vehicle.text_chunks.items() if now - text.since > _TEXT_TIME]
+    for component in late:
+        _end_text(vehicle, component, now)
+
+
+def _end_text(vehicle: VehicleState, component: int, now: float) -> None:
+    """Report a text with the chunks that have arrived, and a mark in the place of lost ones."""
+    ended = vehicle.said_texts[component] = vehicle.text_chunks.pop(component)
+    joined, following = b"", 0
+    for place, raw in sorted(ended.chunks.items()):
+        joined += (_LOST_CHUNKS if place > following else b"") + raw
+        following = place + 1
+    if ended.id and len(ended.chunks[following - 1]) >= _TEXT_LENGTH:
+        joined += _LOST_CHUNKS
+    text = printable(joined.decode("utf-8", "replace")).strip()
     if not text:
         return
-    vehicle.texts = [*vehicle.texts[-31:], (now, message.severity, text)]
-    vehicle.report(_text_kind(message.severity), text)
+    if component == vehicle.component:
+        vehicle.texts = [*vehicle.texts[-31:], (now, ended.severity, text)]
+    else:
+        text = f"component {component}: {text}"
+    vehicle.report(_text_kind(ended.severity), text)
 
 
 def _text_kind(severity: int) -> str:
@@ -177,18 +260,23 @@ def _text_kind(severity: int) -> str:
 
 
 def _command_ack(vehicle: VehicleState, message: Message, now: float) -> None:
-    vehicle.commands.acknowledge(message, now)
+    if vehicle.order != LATE:
+        vehicle.commands.acknowledge(message, now)
 
 
 def _timesync(vehicle: VehicleState, message: Message, now: float) -> None:
     if message.tc1 == 0 or message.ts1 <= 0:
         return
     sent = message.ts1 * 1e-9
-    if not 0.0 <= now - sent < 10.0:
+    if not 0.0 <= now - sent < 10.0 or sent < vehicle.timesync_sent:
         return
-    round_trip = vehicle.latest_round_trip = now - sent
-    vehicle.timesync_at = now
-    vehicle.latest_clock_offset = message.tc1 * 1e-9 - (sent + now) / 2.0
+    round_trip, offset = now - sent, message.tc1 * 1e-9 - (sent + now) / 2.0
+    if sent == vehicle.timesync_sent:
+        apart = abs(offset - vehicle.latest_clock_offset)
+        vehicle.second_clock |= apart > _CLOCK_TOLERANCE + round_trip / 2.0
+        return
+    vehicle.timesync_at, vehicle.timesync_sent = now, sent
+    vehicle.latest_round_trip, vehicle.latest_clock_offset = round_trip, offset
     if not vehicle.round_trip <= round_trip:
         vehicle.clock_offset = vehicle.latest_clock_offset
         vehicle.round_trip = round_trip

@@ -332,6 +332,12 @@ def split_packets(data: bytes) -> tuple[list[bytes], bytes]:
     return packets, b""
 
 
+def sender(packet: bytes) -> tuple[int, int]:
+    """Return system and component id in a packet."""
+    at = 5 if packet[0] == _MAGIC_2 else 3
+    return packet[at], packet[at + 1]
+
+
 def packet_length(data: bytes, start: int) -> int:
     """Return the length of the packet at ``start``: 0 if there is none, negative if cut off."""
     if len(data) - start < 3:

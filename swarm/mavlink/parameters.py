@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from pymavlink.dialects.v20 import common
 
+from swarm.errors import printable
 from swarm.mavlink.packets import Message
 
 REQUEST_AFTER = 0.5
@@ -145,7 +146,7 @@ class Parameters:
 
     def receive(self, message: Message, *, bytewise: bool, now: float) -> None:
         """Process a PARAM_VALUE."""
-        name = message.param_id.split(b"\0", 1)[0].decode("ascii", "replace")
+        name = printable(message.param_id.split(b"\0", 1)[0].decode("ascii", "replace"))
         if name == _HASH:
             return
         value = decode_value(message.bits, message.param_type, bytewise=bytewise)
@@ -159,11 +160,15 @@ class Parameters:
                 self._setting.pop(name, None)
 
     def _add_fetched(self, message: Message, name: str, now: float) -> None:
-        if message.param_index not in self._names:
+        index = message.param_index
+        known = self._names.get(index)
+        if index >= message.param_count or (known is None and name in self._names.values()):
+            return
+        if known is None:
             self._received_at = now
-        self._names[message.param_index] = name
-        self.total = message.param_count
-        if self.received >= self.total and all(index in self._names for index in range(self.total)):
+            self._names[index] = name
+        self.total = max(self.total, message.param_count)
+        if self.received == self.total:
             names = set(self._names.values())
             self.values = {name: value for name, value in self.values.items() if name in names}
             self._fetching = False

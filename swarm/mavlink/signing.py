@@ -17,6 +17,8 @@ TICKS_PER_SECOND = 100_000
 _EPOCH = 1_420_070_400
 _MAX_AGE = 60 * TICKS_PER_SECOND
 _MAX_STREAMS = 4096
+_LATEST = 2**48 - 365 * 86_400 * TICKS_PER_SECOND
+"""A year before timestamps end, in 2104: a sender with that clock would leave the others none."""
 _FLAG = 1
 _HEADER = 10
 
@@ -89,6 +91,8 @@ class Signing:
         stream = packet[5], packet[6], packet[-13]
         stamp = int.from_bytes(packet[-12:-6], "little")
         last = self._streams.get(stream)
+        if stamp > _LATEST:
+            return False
         if last is None:
             if stamp + _MAX_AGE < self.timestamp or len(self._streams) >= _MAX_STREAMS:
                 return False

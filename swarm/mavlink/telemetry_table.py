@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.jit import allocates, compiled, inner
-from swarm.signatures import Bytes3, Floats2, Ints1, Ints2, Shorts2
+from swarm.signatures import Bytes3, Floats1, Floats2, Ints1, Ints2, Shorts2
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -22,46 +22,71 @@ RECEIVED_AT, POSITION_AT, POSITION, VELOCITY, ATTITUDE = 0, 1, 2, 5, 8
 BOOT_TIME, PACKETS, LOST_PACKETS, COMPONENT = 11, 12, 13, 14
 MODE_AT, BATTERY, POSITION_HEALTHY, FIX_TYPE, HEIGHT_DIFFERENCE = 15, 16, 17, 18, 19
 VERTICAL_ACCURACY, GRIPPED, ARMED = 20, 21, 22
-WIDTH = 23
-"""Columns: times, position and velocity in NED, attitude, boot time in ms, counts, component; then
-what changes rarely, but is observed at every tick."""
+ATTITUDE_TIME, GLOBAL_TIME, FASTEST, FLOW = 23, 24, 25, 26
+WIDTH = 27
+"""Columns: times, position and velocity in NED, attitude, boot time of the position in ms, counts,
+the autopilot's component; then what changes rarely, but is observed at every tick; the boot times
+of the attitude and the global position, the smallest difference of clocks, the order of packets."""
 
-REBOOT_STEP = 2000.0
-"""Milliseconds by which the boot time must go back to count as a reboot."""
-_LOCAL_POSITION_NED, _ATTITUDE = 32, 30
+_CLOCK_RANGE, _LONGEST_STEP = 2.0**32, 3.6e6
+"""Milliseconds: a boot time begins again at zero after 49.7 days; a step of an hour is no step of
+one clock."""
+_OUTDATED = 500.0
+"""Milliseconds by which a packet is later than its neighbours where a buffer or a second path held
+it back; packets that overtake each other are closer."""
+DIRECT, DOUBTED, LATE = 2, 1, 0
+"""The order of a packet. Its number directly follows, and the last boot time was a new one; or
+packets are missing since that, or have overtaken it; or its number has already arrived, or the last
+boot time was an outdated one."""
+_RESTART = 1.0
+"""Seconds without packets after which any number may follow: the sender may have restarted."""
+_PUNCTUAL, _DRIFT, _LONGEST_DELAY = 0.06, 0.1, 0.5
+"""Seconds by which positions may be read late before that counts: a tick, and a radio's jitter.
+Seconds per second by which clocks of simulators part. Seconds of a delay that may end again; a
+longer one is the link's."""
+_LOCAL_POSITION_NED, _ATTITUDE, _GLOBAL_POSITION_INT = 32, 30, 33
+STAMPED = {
+    _LOCAL_POSITION_NED: BOOT_TIME, _ATTITUDE: ATTITUDE_TIME, _GLOBAL_POSITION_INT: GLOBAL_TIME
+}  # fmt: skip
+"""Messages with a boot time, and the column of their last one."""
 _COMPARED = (24, 33)
 """GPS_RAW_INT and GLOBAL_POSITION_INT are compared with the position that was sent before them."""
 _MAGIC, _HEADER, _MIN_PACKET, _PAYLOAD = 0xFD, 10, 12, 28
-_OVERTAKEN = 128
-"""A sequence number that is farther ahead than this belongs to a packet that was overtaken."""
+_OVERTAKEN, _FAR = 128, 20
+"""A sequence number that is farther ahead than this belongs to a packet that was overtaken; packets
+overtake fewer others than this."""
 
 
-TableArrays = tuple[Floats2, Shorts2, Bytes3]
+TableArrays = tuple[Floats2, Shorts2, Bytes3, Floats2]
 """The arrays of a :class:`TelemetryTable`, for compiled functions."""
 
 
 class TelemetryTable:
     """Frequent telemetry of n vehicles: ``values`` (n, WIDTH), and the packets that are missing.
 
-    ``sequences`` (n, 256) are the latest sequence numbers of each component, -1 before the first.
-    ``missing`` (n, 256, 32) has one bit for each sequence number that has not arrived.
+    Packets are those of the autopilots. ``sequences`` (n, links) are the latest sequence numbers on
+    each link, -1 before the first, which came at ``arrived`` (n, links). ``missing`` (n, links, 32)
+    has one bit for each sequence number that has not arrived.
     """
 
-    def __init__(self, vehicles: int) -> None:
+    def __init__(self, vehicles: int, links: int = 1) -> None:
         self.values = np.full((vehicles, WIDTH), np.nan)
         self.values[:, RECEIVED_AT] = self.values[:, POSITION_AT] = -math.inf
-        self.values[:, BOOT_TIME], self.values[:, COMPONENT] = -1.0, 1.0
+        self.values[:, [BOOT_TIME, ATTITUDE_TIME, GLOBAL_TIME]] = -1.0
+        self.values[:, FASTEST], self.values[:, FLOW] = math.inf, DIRECT
+        self.values[:, COMPONENT] = 1.0
         self.values[:, PACKETS] = self.values[:, LOST_PACKETS] = 0.0
         self.values[:, MODE_AT], self.values[:, FIX_TYPE] = -math.inf, -1.0
         self.values[:, POSITION_HEALTHY] = 1.0
         self.values[:, GRIPPED] = self.values[:, ARMED] = 0.0
-        self.sequences = np.full((vehicles, 256), -1, np.int16)
-        self.missing = np.zeros((vehicles, 256, 32), np.uint8)
+        self.sequences = np.full((vehicles, links), -1, np.int16)
+        self.missing = np.zeros((vehicles, links, 32), np.uint8)
+        self.arrived = np.full((vehicles, links), -math.inf)
 
     @property
     def arrays(self) -> TableArrays:
-        """Values, sequence numbers and missing packets."""
-        return self.values, self.sequences, self.missing
+        """Values, sequence numbers, missing packets, and arrivals."""
+        return self.values, self.sequences, self.missing, self.arrived
 
     def copy_row(self, row: int) -> "TelemetryTable":
         """Return a table with a copy of one vehicle's row."""
@@ -69,6 +94,7 @@ class TelemetryTable:
         single.values = self.values[row : row + 1].copy()
         single.sequences = self.sequences[row : row + 1].copy()
         single.missing = self.missing[row : row + 1].copy()
+        single.arrived = self.arrived[row : row + 1].copy()
         return single
 
 
@@ -119,47 +145,123 @@ class VectorField:
 
 
 @compiled
-def count_packet(table: TableArrays, k: int, component: int, sequence: int, now: float) -> None:
-    """Count a packet of vehicle ``k``, and the packets before it that have not arrived.
+def count_packet(
+    table: TableArrays, k: int, link: int, sequence: int, now: float, fresh: bool
+) -> int:
+    """Count a packet of vehicle ``k``'s autopilot, and the packets before it that have not arrived
+    on this link; return its order (DIRECT, DOUBTED, LATE).
 
-    A packet that arrives late is not lost. Only packets of the autopilot's component set
-    RECEIVED_AT: a camera on board does not show that the autopilot is alive.
+    ``fresh`` is whether its boot time is a new one: then it is of now, and where the latest number
+    is far ahead of its own, that was a late packet's. A packet that arrives late is not lost, and
+    does not set RECEIVED_AT. A number that is the latest one again counts as following: senders
+    without sequence numbers send zeros.
     """
-    values, sequences, missing = table
-    if component == values[k, COMPONENT]:
-        values[k, RECEIVED_AT] = now
+    values, sequences, missing, arrived = table
     values[k, PACKETS] += 1.0
-    last, missed = int(sequences[k, component]), missing[k, component]
-    gap = (sequence - last) & 0xFF if last >= 0 else 1
-    bit = 1 << (sequence & 7)
-    if 0 < gap < _OVERTAKEN:
-        sequences[k, component] = sequence
+    last, missed = int(sequences[k, link]), missing[k, link]
+    if fresh:
+        values[k, RECEIVED_AT], values[k, FLOW] = now, DIRECT
+        while last >= 0 and _OVERTAKEN <= (sequence - last) & 0xFF < 256 - _FAR:
+            last = _withdrawn(values[k], missed, last, sequence)
+    restarted = last < 0 or now - arrived[k, link] > _RESTART
+    gap, bit = (sequence - last) & 0xFF, 1 << (sequence & 7)
+    if restarted and (last < 0 or gap >= _OVERTAKEN):
+        gap = 1
+        for byte in range(len(missed)):
+            missed[byte] = 0
+    if gap < _OVERTAKEN:
+        arrived[k, link] = now
+        sequences[k, link] = sequence
         missed[sequence >> 3] &= 0xFF ^ bit
-        values[k, LOST_PACKETS] += gap - 1
+        values[k, LOST_PACKETS] += max(gap - 1, 0)
         for back in range(1, gap):
             before = (sequence - back) & 0xFF
             missed[before >> 3] |= 1 << (before & 7)
-    elif missed[sequence >> 3] & bit:
-        missed[sequence >> 3] &= 0xFF ^ bit
-        values[k, LOST_PACKETS] -= 1.0
+        if restarted:
+            values[k, FLOW] = DIRECT
+        elif gap > 1 and not fresh:
+            values[k, FLOW] = min(values[k, FLOW], DOUBTED)
+        if values[k, FLOW] != LATE:
+            values[k, RECEIVED_AT] = now
+        return int(values[k, FLOW])
+    if not missed[sequence >> 3] & bit:
+        return LATE
+    missed[sequence >> 3] &= 0xFF ^ bit
+    values[k, LOST_PACKETS] -= 1.0
+    return int(min(values[k, FLOW], DOUBTED))
+
+
+@inner
+def _withdrawn(row: Floats, missed: Bits, last: int, sequence: int) -> int:
+    """Return the number before ``sequence`` as the latest, and no longer miss what follows it."""
+    while last != (sequence - 1) & 0xFF:
+        bit = 1 << (last & 7)
+        if missed[last >> 3] & bit:
+            missed[last >> 3] &= 0xFF ^ bit
+            row[LOST_PACKETS] -= 1.0
+        last = (last - 1) & 0xFF
+    return last
+
+
+@compiled
+def follows(boot_ms: float, last: float) -> bool:
+    """Return whether a boot time in ms is later than the last one (-1: none) of the same clock.
+
+    A clock that stands at zero counts nothing, so everything follows.
+    """
+    step = (boot_ms - last) % _CLOCK_RANGE
+    return last < 0.0 or 0.0 < step < _LONGEST_STEP or boot_ms == last == 0.0
+
+
+@compiled
+def take_time(row: Floats1, column: int, boot_ms: float) -> bool:
+    """Take the boot time of a message of one kind, if it follows the last; return whether it does.
+
+    An outdated one tells that the packets around it are late, too.
+    """
+    last = row[column]
+    if follows(boot_ms, last):
+        row[column] = boot_ms
+        return True
+    if boot_ms != last and (last - boot_ms) % _CLOCK_RANGE > _OUTDATED:
+        row[FLOW] = LATE
+    return False
+
+
+@compiled
+def take_position_time(row: Floats1, boot_ms: float, now: float) -> None:
+    """Set POSITION_AT of a position that is read now, and has taken its boot time.
+
+    A position that was delayed stands at the time of its measurement. The smallest difference
+    between the time of reading and the boot time shows the clocks' difference.
+    """
+    apart = now - 1e-3 * boot_ms
+    before = row[POSITION_AT]
+    row[FASTEST] = min(apart, row[FASTEST] + _DRIFT * (now - before))
+    late = apart - row[FASTEST]
+    if late > _LONGEST_DELAY:
+        row[FASTEST], late = apart, 0.0
+    row[POSITION_AT] = now if late < _PUNCTUAL else max(now - late, before + 1e-3)
 
 
 @compiled
 @allocates
 def read_datagrams(
-    data: bytes, origins: Ints2, extras: Ints1, now: float, table: TableArrays, rows: Ints2
-) -> int:
+    data: bytes, origins: Ints2, extras: Ints1, heard: tuple[int, float], table: TableArrays,
+    rows: Ints2,
+) -> int:  # fmt: skip
     """Read datagrams into the table; return the number of packets that are left for the handlers.
 
     ``data`` are m datagrams, one after the other. ``origins`` (m, 3) are their lengths, the rows of
     the vehicles that sent them, and their system ids. ``extras`` are CRC_EXTRA by message number,
-    negative if there is no such message. Every packet that is not read here is described, in its
-    order, in a row of ``rows`` (k, 5), which must have a row for every possible packet: datagram,
-    message number, component, start and end of the payload. These packets have been counted.
+    negative if there is no such message; ``heard`` are the number of the link, and the time. Every
+    packet that is not read here is described, in its order, in a row of ``rows`` (k, 6), which must
+    have a row for every possible packet: datagram, message number, component, start and end of the
+    payload, order. These packets have been counted, if they are of an autopilot.
     If ``data`` holds anything but whole unsigned MAVLink 2 packets of known messages from their
     vehicles, nothing is read and the result is negative.
     """
-    values = table[0]
+    values, (link, now) = table[0], heard
     in_order = np.zeros(len(values), np.bool_)
     start = 0
     for m in range(len(origins)):
@@ -176,12 +278,20 @@ def read_datagrams(
         while at < end:
             close = at + _HEADER + int(data[at + 1])
             number = data[at + 7] | data[at + 8] << 8
-            count_packet(table, k, int(data[at + 6]), int(data[at + 4]), now)
-            tabular = number == _ATTITUDE or (number == _LOCAL_POSITION_NED and not in_order[k])
-            if not tabular or not _read_packet(data, at, close, single, now, values[k]):
+            own, order, boot = data[at + 6] == values[k, COMPONENT], DOUBTED, 0.0
+            tabular = own and (
+                number == _ATTITUDE or (number == _LOCAL_POSITION_NED and not in_order[k])
+            )
+            if own:
+                column, fresh = _time_column(number), False
+                if column >= 0:
+                    boot = _boot_time(data, at + _HEADER, close)
+                    fresh = follows(boot, values[k, column])
+                order = count_packet(table, k, link, int(data[at + 4]), now, fresh)
+            if not tabular or not _read_packet(data, at, close, single, (boot, now), values[k]):
                 in_order[k] |= number == _LOCAL_POSITION_NED
                 rows[used, 0], rows[used, 1], rows[used, 2] = m, number, data[at + 6]
-                rows[used, 3], rows[used, 4] = at + _HEADER, close
+                rows[used, 3], rows[used, 4], rows[used, 5] = at + _HEADER, close, order
                 used += 1
             at = close + 2
     return used
@@ -189,7 +299,7 @@ def read_datagrams(
 
 def packet_rows(data: bytes) -> Indices:
     """Return an uninitialized array with a row for every packet that the data can hold."""
-    return np.empty((len(data) // _MIN_PACKET + 1, 5), np.int64)
+    return np.empty((len(data) // _MIN_PACKET + 1, 6), np.int64)
 
 
 @inner
@@ -216,25 +326,46 @@ def _validate(data: bytes, start: int, end: int, system: int, extras: Indices) -
 
 
 @inner
+def _time_column(number: int) -> int:
+    """Return the column of a message's boot time, negative without one: as in `STAMPED`."""
+    if number == _LOCAL_POSITION_NED:
+        return BOOT_TIME
+    if number == _ATTITUDE:
+        return ATTITUDE_TIME
+    return GLOBAL_TIME if number == _GLOBAL_POSITION_INT else -1
+
+
+@inner
+def _boot_time(data: bytes, start: int, close: int) -> float:
+    """Return the first four bytes of a payload, of which zeros at the end may be cut off."""
+    boot = 0.0
+    for k in range(min(4, close - start)):
+        boot += float(data[start + k]) * 256.0**k
+    return boot
+
+
+@inner
 @allocates
 def _read_packet(
-    data: bytes, at: int, close: int, single: npt.NDArray[np.float32], now: float, row: Floats
-) -> bool:
-    """Read a position or an attitude into a vehicle's row; False if it shows a reboot, which is an
-    event."""
+    data: bytes, at: int, close: int, single: npt.NDArray[np.float32],
+    times: tuple[float, float], row: Floats,
+) -> bool:  # fmt: skip
+    """Read a position or an attitude into a vehicle's row; an attitude that is older than the last
+    is dropped. False for a position of another time: it may show a reboot, which is an event.
+
+    ``times`` are its boot time in ms and the time now in seconds."""
+    boot, now = times
     raw = single.view(np.uint8)
     for k in range(_PAYLOAD):
         raw[k] = data[at + _HEADER + k] if at + _HEADER + k < close else 0
     if data[at + 7] == _ATTITUDE:
-        for k in range(3):
-            row[ATTITUDE + k] = single[1 + k]
+        if take_time(row, ATTITUDE_TIME, boot):
+            for k in range(3):
+                row[ATTITUDE + k] = single[1 + k]
         return True
-    boot = 0.0
-    for k in range(4):
-        boot += float(raw[k]) * 256.0**k
-    if boot < row[BOOT_TIME] - REBOOT_STEP:
+    if not take_time(row, BOOT_TIME, boot):
         return False
-    row[BOOT_TIME], row[POSITION_AT] = boot, now
+    take_position_time(row, boot, now)
     for k in range(6):
         row[POSITION + k] = single[1 + k]
     return True

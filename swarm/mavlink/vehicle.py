@@ -5,20 +5,22 @@ it, :mod:`swarm.mavlink.autopilots` lists the differences between autopilots, an
 :mod:`swarm.mavlink.commands` tracks every command until it is done.
 """
 
+import math
 from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common
 
 from swarm.errors import VehicleError
-from swarm.mavlink.autopilots import Mode
+from swarm.mavlink.autopilots import Mode, flying_autopilot
 from swarm.mavlink.commands import STATE_TIMEOUT, Command
-from swarm.mavlink.message_handlers import HANDLERS
+from swarm.mavlink.message_handlers import HANDLERS, end_texts, read_text
 from swarm.mavlink.packets import Message, Packet, message_name
-from swarm.mavlink.telemetry_table import count_packet
+from swarm.mavlink.telemetry_table import DOUBTED, STAMPED, count_packet, follows
 from swarm.mavlink.vehicle_state import VehicleState
 
 _CUSTOM = int(common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _KILL = 21196.0
+_HEARTBEAT, _TEXT = int(common.MAVLINK_MSG_ID_HEARTBEAT), int(common.MAVLINK_MSG_ID_STATUSTEXT)
 TAKEOFF_TIMEOUT = 15.0
 """Seconds from the acknowledgement of a take-off until it flies: motors spool up first."""
 _ECHOES = frozenset({int(common.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED)})
@@ -34,20 +36,49 @@ class Vehicle(VehicleState):
         twin.telemetry, twin.row = self.telemetry.copy_row(self.row), 0
         return twin
 
-    def receive(self, packet: Packet, now: float) -> None:
-        """Count and read a packet of this vehicle."""
+    def receive(self, packet: Packet, now: float, link: int = 0) -> None:
+        """Count and read a packet with this vehicle's system id, from a link by its number."""
         number, _, component, sequence, message = packet
-        count_packet(self.telemetry.arrays, self.row, component, sequence, now)
-        self.read(number, component, message, now)
+        order = DOUBTED
+        if component == self.component:
+            fresh = False
+            if number in STAMPED and message is not None:
+                last = float(self.values[STAMPED[number]])
+                fresh = follows(float(message.time_boot_ms), last)
+            order = count_packet(self.telemetry.arrays, self.row, link, sequence, now, fresh)
+        self.read(number, component, message, now, order)
 
-    def read(self, number: int, component: int, message: Message | None, now: float) -> None:
-        """Read the message of a packet that has been counted."""
+    def read(
+        self, number: int, component: int, message: Message | None, now: float, order: int
+    ) -> None:
+        """Read the message of a packet that has been counted.
+
+        Of other components than the autopilot's, only texts are read.
+        """
+        if number == _HEARTBEAT and message is not None and component != self.component:
+            self._choose(component, message)
+        if self.text_chunks:
+            end_texts(self, now)
+        if component != self.component:
+            if number == _TEXT and message is not None:
+                read_text(self, message, now, component)
+            return
         handler = HANDLERS.get(number)
         if handler is None or message is None:
             self.unhandled[number] = self.unhandled.get(number, 0) + 1
         else:
-            self.latest_component = component
+            self.order = order
             handler(self, message, now)
+
+    def _choose(self, component: int, heartbeat: Message) -> None:
+        """Take the component of a heartbeat for the vehicle, if it is its autopilot's.
+
+        The first one stays, except for MAVLink's own id of autopilots while nothing is armed.
+        """
+        first = self.heartbeat_at == -math.inf
+        preferred = component == common.MAV_COMP_ID_AUTOPILOT1 and not self.armed
+        if (first or preferred) and flying_autopilot(heartbeat) is not None:
+            self.component = self.commands.component = component
 
     @property
     def busy(self) -> bool:

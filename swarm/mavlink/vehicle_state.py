@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass, field
 
+import numpy as np
+import numpy.typing as npt
 from pymavlink.dialects.v20 import common
 
 from swarm.mavlink.autopilots import MANUAL_MODES, Autopilot, Mode
@@ -15,9 +17,11 @@ from swarm.mavlink.telemetry_table import (
     BATTERY,
     BOOT_TIME,
     COMPONENT,
+    DIRECT,
     FIX_TYPE,
     GRIPPED,
     HEIGHT_DIFFERENCE,
+    LATE,
     LOST_PACKETS,
     MODE_AT,
     PACKETS,
@@ -40,6 +44,16 @@ IN_AIR = int(common.MAV_LANDED_STATE_IN_AIR)
 TAKING_OFF = int(common.MAV_LANDED_STATE_TAKEOFF)
 
 
+@dataclass
+class TextChunks:
+    """The chunks of a STATUSTEXT that have arrived, by their place in it, and when they began."""
+
+    id: int
+    severity: int
+    since: float
+    chunks: dict[int, bytes] = field(default_factory=dict)
+
+
 @dataclass(frozen=True)
 class VehicleEvent:
     """An event of a vehicle.
@@ -58,6 +72,8 @@ class VehicleEvent:
 class VehicleState:
     """The latest reported state of one vehicle, its command queue and its parameters.
 
+    The vehicle is its autopilot: ``component`` is chosen by a HEARTBEAT of an autopilot.
+
     Times are the caller's ``now`` in seconds. Positions are NED in metres in the vehicle's own
     frame, angles in radians, accuracies and ``height_difference`` in metres, ``battery`` from 0
     to 1. NaN and None mean "not received".
@@ -67,7 +83,11 @@ class VehicleState:
     - ``height_difference``: satellite altitude minus altitude of the local position, averaged;
       ``height_average`` holds when the average began, its latest sample, and its value.
     - ``origin_mismatches``: consecutive samples in which global and local position disagree.
-    - ``reboots``: how often the boot time went back.
+    - ``order``: of the message that is being read (:mod:`swarm.mavlink.telemetry_table`).
+    - ``other_clock``: boot times that do not follow the vehicle's: when its last position had come
+      by then, when they began, the last of them in ms, and how many.
+    - ``second_clock``: one request for the time was answered with two times.
+    - ``text_chunks``, ``said_texts``: the text that is arriving, and the last one, by component.
     - ``unhandled``: number of packets by message number that no handler reads.
     """
 
@@ -93,15 +113,19 @@ class VehicleState:
     clock_offset: float = math.nan
     latest_clock_offset: float = math.nan
     timesync_at: float = -math.inf
+    timesync_sent: float = -math.inf
+    second_clock: bool = False
+    other_clock: tuple[float, float, float, int] = (math.nan, math.nan, -1.0, 0)
     unhandled: dict[int, int] = field(default_factory=dict)
 
     commands: CommandQueue = field(init=False)
     parameters: Parameters = field(default_factory=Parameters)
     texts: list[tuple[float, int, str]] = field(default_factory=list)
-    text_chunks: dict[int, list[str]] = field(default_factory=dict)
-    latest_component: int = 1
+    text_chunks: dict[int, TextChunks] = field(default_factory=dict)
+    said_texts: dict[int, TextChunks] = field(default_factory=dict)
+    order: int = DIRECT
     origin_mismatches: int = 0
-    reboots: int = 0
+    _doubted: dict[str, object] = field(default_factory=dict)
     _events: list[VehicleEvent] = field(default_factory=list)
     _stopped_streams: set[int] = field(default_factory=set)
 
@@ -134,6 +158,24 @@ class VehicleState:
         """Return the events since the last call."""
         events, self._events = self._events, []
         return events
+
+    @property
+    def values(self) -> npt.NDArray[np.float64]:
+        """This vehicle's row (WIDTH,) of the table."""
+        row: npt.NDArray[np.float64] = self.telemetry.values[self.row]
+        return row
+
+    def believes(self, name: str, value: object) -> bool:
+        """Return whether a value in the message that is being read counts; it has no boot time.
+
+        Its packet directly follows the one before; or it repeats what the message said before, and
+        is not known to be late.
+        """
+        if self.order == LATE:
+            return False
+        repeated = name in self._doubted and self._doubted[name] == value
+        self._doubted[name] = value
+        return self.order == DIRECT or repeated
 
     def recent_warnings(self, now: float, within: float = 5.0) -> str:
         """Return the texts of severity WARNING or higher of the last seconds, joined."""

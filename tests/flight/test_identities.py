@@ -124,6 +124,42 @@ def test_two_vehicles_behind_one_router_are_reported(other, words):
     assert words in said[0]
 
 
+def said_by(component: int, kind: int, autopilot: int, clones: bool = False) -> list[str]:
+    """What is said against system 1, of whose heartbeats this sender has a share as well."""
+    listener, vehicle = FleetListener(fleet_of()), emulated("px4")
+    other = common.MAVLink(None, srcSystem=1, srcComponent=component)
+    beat = common.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 3, 3).pack(other)
+    for tick in range(100):
+        now = 0.05 * tick
+        if tick % 20 == 0:
+            listener.receive("radio", ("10.0.0.9", 77 if clones else 1), beat, now)
+        if tick > 30:
+            for system, data in vehicle.step(now):
+                listener.receive("radio", ("10.0.0.9", system), data, now)
+        listener.tick(now)
+    assert listener.missing == []
+    assert listener.team.vehicles[1].component == 1
+    return [finding.message for finding in listener.team.conflicts()]
+
+
+@pytest.mark.parametrize("apart", [False, True])
+@pytest.mark.parametrize(
+    ("component", "kind", "autopilot"),
+    [(100, 30, 0), (154, 26, 3), (191, 18, 12), (1, 30, 8), (0, 2, 8)],
+)
+def test_a_device_that_is_received_first_is_no_vehicle(component, kind, autopilot, apart):
+    assert said_by(component, kind, autopilot, clones=apart) == []
+
+
+def test_a_second_autopilot_with_another_component_is_reported():
+    (said,) = said_by(2, 2, 12)
+    assert said.startswith("system 1 is two autopilots, components 1 and 2: PX4 at 10.0.0.9:1 on ")
+    (said,) = said_by(2, 2, 3)
+    assert said.startswith(
+        "system 1 is two vehicles: ArduPilot and PX4 at 10.0.0.9:1 on link radio"
+    )
+
+
 def test_an_autopilot_other_than_the_listed_one_is_reported():
     said = heard(fleet_of(autopilot="px4"), (emulated("ardupilot"), at_home(1)))
     assert said[0] == (

@@ -1,5 +1,7 @@
 """The parameter table: no failsafe sends a tethered vehicle home."""
 
+import math
+
 import pytest
 
 from sitl.autopilots.ardupilot.tables import PARAMETERS as ARDUPILOT_PARAMETERS
@@ -198,3 +200,15 @@ def test_the_common_pace_of_landing_is_one_that_both_autopilots_document():
     assert wanted["MPC_LAND_SPEED"] >= 0.6
     assert 30 <= wanted["LAND_SPEED"] <= 200
     assert wanted["LAND_SPEED"] == pytest.approx(100.0 * wanted["MPC_LAND_SPEED"])
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_value_that_is_no_number_is_wrong(autopilot, value):
+    table = rules(autopilot, fleet_requirements(Vehicles(), emulated_fleet(1)))
+    wrong, good = evaluate(1, {rule.name: value for rule in table}, table)
+    assert not good
+    assert {(row.name, row.severity) for row in wrong} == {
+        (rule.name, rule.severity) for rule in table
+    }
+    assert all(math.isfinite(row.should) for row in wrong)

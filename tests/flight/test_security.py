@@ -1,6 +1,7 @@
 """Strangers on the links, and files from strangers: no wrong motion, no crash, words instead."""
 
 import json
+import random
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from swarm.mission.fleet import emulated_fleet, parse_fleet
 from swarm.planning.archive import plan_document, plan_motion, read_plan
 from swarm.simulation.loop import faults_from
 from tests.network import Network, small_plan
+from tests.sitl.random_packets import random_frame
 
 PLAN = small_plan()
 SECONDS = 4.0
@@ -40,16 +42,19 @@ def quiet():
     return flown().sent
 
 
-def forged(system, flight):
+def lies(flight):
     """What somebody says who pretends to be a vehicle: disarmed, landed, far away, low battery."""
-    liar = common.MAVLink(None, srcSystem=system, srcComponent=1)
-    lies = (
+    return (
         common.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3),
         common.MAVLink_local_position_ned_message(int(flight.now * 1e3), 9e3, 9e3, -9e3, 5, 5, 5),
         common.MAVLink_extended_sys_state_message(0, 1),
         common.MAVLink_command_ack_message(211, 4, 0, 0, 255, 190),
     )
-    return b"".join(lie.pack(liar) for lie in lies)
+
+
+def forged(system, flight):
+    liar = common.MAVLink(None, srcSystem=system, srcComponent=1)
+    return b"".join(lie.pack(liar) for lie in lies(flight))
 
 
 def test_a_spoofed_vehicle_from_another_address_changes_no_packet(quiet):
@@ -106,11 +111,42 @@ def test_a_flood_changes_no_packet_and_takes_no_memory(quiet):
     assert len(flight.words("security")) < 100
 
 
+ABOARD = [
+    common.MAVLink_heartbeat_message(30, common.MAV_AUTOPILOT_GENERIC, 0, 0, 4, 3),
+    common.MAVLink_heartbeat_message(26, common.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, 4, 3),
+    common.MAVLink_heartbeat_message(18, common.MAV_AUTOPILOT_PX4, 0, 0, 4, 3),
+    common.MAVLink_heartbeat_message(27, common.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3),
+]
+"""Heartbeats of a camera, a gimbal, a companion computer and a transponder."""
+
+
+@pytest.mark.parametrize("apart", [False, True], ids=["one address", "an address of their own"])
+def test_nothing_that_other_components_say_changes_a_packet(quiet, apart):
+    rng = random.Random(5)
+
+    def attack(flight):
+        for system in (1, 2, 3):
+            component = rng.choice([0, 2, 25, 100, 154, 191, 255])
+            device = common.MAVLink(None, system, component)
+            said = [*ABOARD, *lies(flight)[1:], common.MAVLink_sys_status_message(
+                0, 0xFFFFFFF, 0, 900, 4900, -1, 3, 0, 0, 0, 0, 0, 0)]  # fmt: skip
+            data = b"".join(one.pack(device) for one in said)
+            data += random_frame(rng, system, rng.choice([0, *range(2, 256)]), ["MPC_XY_VEL_MAX"])
+            address = f"devices of {system}" if apart else system
+            flight.conductor.receive("loopback", address, data, flight.now)
+
+    flight = flown(attack)
+    assert flight.sent == quiet
+    assert flight.words("failure") == []
+    assert flight.conductor.team.conflicts() == []
+
+
 def fuzzed(count, seed):
-    """Damaged copies of what vehicles say, and noise, from the vehicles' own addresses."""
+    """Any message of any component, damaged copies of what vehicles say, and noise, from the
+    vehicles' own addresses."""
     flight = Network(PLAN, emulated_fleet(3), no_cable=True)
     flight.until_phase("fold", 1.0)
-    rng = np.random.default_rng(seed)
+    rng, chance = np.random.default_rng(seed), random.Random(seed)
     heard = []
     flight.downlink = lambda _now, _system, data: heard.append(data) or True
     flight.until_time(1.0)
@@ -119,8 +155,16 @@ def fuzzed(count, seed):
         for _ in range(int(rng.integers(1, 6))):
             data[int(rng.integers(len(data)))] = int(rng.integers(256))
         sent = bytes(data[: int(rng.integers(1, len(data) + 1))]) if k % 3 else rng.bytes(80)
-        flight.conductor.receive("loopback", int(rng.integers(1, 4)), sent, flight.now)
+        system = int(rng.integers(1, 4))
+        if k % 2:
+            component = 1 if rng.random() < 0.5 else int(rng.integers(256))
+            sent = random_frame(chance, system, component, ["MPC_XY_VEL_MAX"])
+        if k % 5:
+            flight.conductor.receive("loopback", system, sent, flight.now)
+        else:
+            flight.conductor.receive_all("loopback", [(system, sent)], flight.now)
         if k % 500 == 0:
+            flight.conductor.events()
             for one in flight.conductor.tick(flight.now):
                 for packet in Decoder().feed(one.data):
                     setpoint = packet.message
@@ -182,6 +226,13 @@ def test_a_damaged_motion_is_refused_in_words(cut, noise):
 def test_a_strangers_log_is_refused_in_words(data):
     with pytest.raises(InputError):
         replay(data, PLAN.plan, emulated_fleet(3))
+
+
+def test_control_characters_in_names_of_files_and_keys_are_not_printed():
+    with pytest.raises(InputError) as refused:
+        parse_fleet('schema: 1\nname: "a\\e[2J"\n"k\\e]0;t\\a": 3', "fleet\x1b[2J.yaml")
+    assert "fleet\ufffd[2J.yaml:3: k\ufffd]0;t\ufffd: unknown key, got 3" in str(refused.value)
+    assert str(refused.value).replace("\n", "").isprintable()
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import json
 import sys
 from collections import Counter
+from dataclasses import replace
 
 import pexpect
 import pytest
@@ -10,6 +11,7 @@ from pymavlink.dialects.v20 import common
 
 from swarm.errors import InputError, VehicleError
 from swarm.flight.fleet_listener import LinkQuality, radio_finding, radio_findings
+from swarm.ground.commissioning.audit import VehicleAudit, save_parameters
 from swarm.ground.commissioning.check import CheckOptions, check
 from swarm.ground.fly import FlyOptions, fly
 from swarm.ground.sockets import Links
@@ -154,3 +156,12 @@ def test_progress_is_shown_on_a_terminal(tmp_path):
     terminal.expect(pexpect.EOF)
     terminal.close()
     assert terminal.exitstatus == 1
+
+
+def test_a_vehicle_whose_parameters_were_not_all_read_is_no_go(tmp_path):
+    words = "880 of 897 of its parameters received, then none for 5 s"
+    audit = VehicleAudit(3, "PX4", {}, 90.0, 12, (), {"COM_OBL_RC_ACT": 5.0}, (), (), words)
+    errors = [one.message for one in audit.findings() if one.severity == "error"]
+    assert errors == [f"system 3: {words}"]
+    save_parameters(tmp_path, [audit, replace(audit, system=4, unread="")])
+    assert [file.name for file in (tmp_path / "parameters").iterdir()] == ["4.json"]

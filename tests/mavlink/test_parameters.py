@@ -190,3 +190,37 @@ def test_small_integers_are_encoded_both_ways(value):
         )
     with pytest.raises(ValueError, match="does not fit its type"):
         encode_value(value + 256.0, INT8, bytewise=True)
+
+
+def test_a_wrong_index_or_count_does_not_complete_the_list():
+    """Only as many different parameters as the vehicle counts are all of them."""
+    vehicle = Vehicle(table(12), bytewise=True)
+    parameters, decoder = Parameters(), Decoder()
+    parameters.fetch()
+    parameters.tick(7, 1, bytewise=True, now=0.0)
+    first, *others = vehicle.names
+
+    def receive(name, index, count):
+        vehicle.names = [*vehicle.table][:count]
+        (packet,) = decoder.feed(vehicle.value(name, index))
+        parameters.receive(packet.message, bytewise=True, now=0.0)
+
+    receive(first, 0, 1)
+    assert (parameters.busy, parameters.received) == (False, 1)
+    parameters.fetch()
+    for k, name in enumerate(others, 1):
+        receive(name, k, 12)
+    for name, index, count in ((first, 12, 12), (others[0], 0, 12), (first, 3, 12), (first, 0, 0)):
+        receive(name, index, count)
+        assert parameters.busy
+    receive(first, 0, 5)
+    assert (parameters.busy, parameters.total, parameters.received) == (False, 12, 12)
+    assert parameters.values == vehicle.table
+
+
+def test_names_have_no_control_characters():
+    parameters = Parameters()
+    kind = common.MAVLink_param_value_message(b"\x1b[2J_P\x07", 1.0, REAL32, 1, 0)
+    (packet,) = Decoder().feed(kind.pack(common.MAVLink(None, 7, 1)))
+    parameters.receive(packet.message, bytewise=False, now=0.0)
+    assert list(parameters.values) == ["\ufffd[2J_P\ufffd"]

@@ -100,3 +100,11 @@ def test_vehicles_with_a_key_ignore_a_ground_station_without_one():
     flight.run(most=200.0)
     assert flight.conductor.finished.word in {"failed", "refused"}
     assert not flight.emulator.truth().armed.any()
+
+
+def test_a_clock_at_the_end_of_all_timestamps_is_not_followed():
+    signing = Signing(KEY, NOW)
+    for stamp in (2**48 - 1, 2**48 - 10**12):
+        assert not Decoder().feed(bytes(HEARTBEAT.pack(theirs(stamp))), signing)
+    assert signing.timestamp == NOW
+    assert signing.dropped["replayed"] == 2

@@ -68,6 +68,71 @@ def test_arming_and_disarming_are_reported_once():
     assert wire(heartbeat(armed=False)) == ["disarmed"]
 
 
+def aboard(component, message, system=3):
+    """A packet of another component with a vehicle's system id."""
+    (packet,) = Decoder().feed(message.pack(common.MAVLink(None, system, component)))
+    return packet
+
+
+CAMERA = common.MAVLink_heartbeat_message(30, common.MAV_AUTOPILOT_GENERIC, 0, 0, 4, 3)
+
+
+@pytest.mark.parametrize("component", [0, 2, 25, 100, 154, 191, 255])
+def test_only_the_autopilots_component_counts(component):
+    """What a camera, gimbal or companion computer says of itself is not said of the vehicle."""
+    wire = Wire()
+    wire(heartbeat(armed=True, custom_mode=6 << 16), 1.0)
+    vehicle = wire.vehicle
+    vehicle.parameters.fetch()
+    vehicle.arm()
+    vehicle.tick(1.0)
+    before = repr(vehicle)
+    for message in (
+        CAMERA,
+        common.MAVLink_heartbeat_message(26, common.MAV_AUTOPILOT_PX4, 0, 0, 4, 3),
+        common.MAVLink_command_ack_message(400, common.MAV_RESULT_UNSUPPORTED, 0, 0, 255, 190),
+        common.MAVLink_param_value_message(b"GMB_YAW", 1.0, 9, 1, 0),
+        common.MAVLink_sys_status_message(0, 0xFFFFFFF, 0, 900, 4900, -1, 3, 0, 0, 0, 0, 0, 0),
+        common.MAVLink_extended_sys_state_message(0, 1),
+        common.MAVLink_gps_raw_int_message(0, 0, 0, 0, 0, 65535, 65535, 65535, 65535, 0),
+        common.MAVLink_local_position_ned_message(90_000, 9, 9, 9, 9, 9, 9),
+        common.MAVLink_attitude_message(90_000, 3, 0, 0, 0, 0, 0),
+        common.MAVLink_timesync_message(1, 1),
+        common.MAVLink_gps_global_origin_message(1, 1, 1),
+        common.MAVLink_vfr_hud_message(1, 1, 1, 1, 1, 1),
+    ):
+        vehicle.receive(aboard(component, message), 1.5)
+    assert repr(vehicle) == before
+    assert vehicle.received_at == 1.0
+    assert vehicle.packets == 1
+
+
+def test_a_camera_that_is_received_first_is_not_the_vehicle():
+    vehicle = Vehicle(3)
+    vehicle.receive(aboard(100, CAMERA), 0.0)
+    assert vehicle.take_events() == []
+    vehicle.receive(aboard(1, heartbeat()), 1.0)
+    assert (vehicle.component, vehicle.mode, vehicle.heartbeat_at) == (1, "mode 0", 1.0)
+
+
+def test_an_autopilot_may_have_another_component():
+    vehicle = Vehicle(3)
+    vehicle.receive(aboard(4, heartbeat()), 0.0)
+    vehicle.receive(aboard(4, position(1_000, 5.0)), 0.1)
+    assert (vehicle.component, vehicle.commands.component, vehicle.position[0]) == (4, 4, 5.0)
+
+
+def test_texts_of_other_components_name_them():
+    wire = Wire()
+    wire(heartbeat())
+    text = common.MAVLink_statustext_message(3, b"gimbal stuck", 0, 0)
+    wire.vehicle.receive(aboard(154, text), 0.5)
+    assert [event.message for event in wire.vehicle.take_events()] == [
+        "component 154: gimbal stuck"
+    ]
+    assert wire.vehicle.texts == []
+
+
 def test_other_components_do_not_change_the_autopilots_state():
     wire = Wire()
     wire(heartbeat())
@@ -150,6 +215,63 @@ def test_chunks_of_long_texts_are_joined_and_stripped():
     assert wire.vehicle.recent_warnings(60.0) == ""
 
 
+LONG = "PreArm: Compass: 12 °C, the field is out of range, check the mount near motor 3, Ωß"
+
+
+def chunks(text, number):
+    raw = text.encode()
+    return [(raw[k : k + 50], number, place) for place, k in enumerate(range(0, len(raw), 50))]
+
+
+def said(*arrived, after=5.0):
+    """The texts of chunks that arrive one after the other, and of later silence."""
+    wire = Wire()
+    wire(heartbeat())
+    for k, (raw, number, place) in enumerate(arrived):
+        (packet,) = Decoder().feed(
+            common.MAVLink_statustext_message(4, raw, number, place).pack(wire._mav)
+        )
+        wire.vehicle.receive(packet, 0.01 * k)
+    wire(heartbeat(), after)
+    return [text for _, _, text in wire.vehicle.texts]
+
+
+def test_chunks_are_joined_as_bytes_whatever_their_order():
+    first, second = chunks(LONG, 7)
+    assert said(first, second) == said(second, first) == [LONG]
+    assert said(first, first, second, second, first) == [LONG]
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.text(min_size=1, max_size=120), st.randoms(use_true_random=False))
+def test_any_text_comes_through_doubled_and_shuffled(text, rng):
+    text = " ".join("".join(c for c in text if c.isprintable()).split())
+    arrived = [*chunks(text, 9), (b"", 9, len(chunks(text, 9)))] * 2
+    rng.shuffle(arrived)
+    assert said(*arrived)[:1] == ([text] if text else [])
+
+
+def test_lost_chunks_are_marked():
+    one, two, three = chunks("a" * 50 + "b" * 50 + "end", 3)
+    assert said(one, three) == ["a" * 50 + "[…]end"]
+    assert said(one, two) == ["a" * 50 + "b" * 50 + "[…]"]
+    assert said(one, (b"other", 0, 0)) == ["a" * 50 + "[…]", "other"]
+    assert said(one, *chunks("c" * 50 + "d", 3)) == ["a" * 50 + "[…]", "c" * 50 + "d"]
+    assert said((b"x", 3, 255)) == ["[…]x"]
+
+
+def test_px4s_first_long_text_is_not_split():
+    """PX4 1.16 counts its texts from 0, which stands for a text of one chunk."""
+    text = "Preflight Fail: No connection to the ground control station"
+    assert said(*chunks(text, 0)) == [text]
+    assert said((b"x" * 50, 0, 0)) == ["x" * 50]
+
+
+def test_control_characters_do_not_reach_the_screen():
+    raw = b"\x1b[2J\x07red\xe2\x80\xaegnp.exe\r\nnext\x9b"
+    assert said((raw, 0, 0)) == ["\ufffd[2J\ufffdred\ufffdgnp.exe  next\ufffd"]
+
+
 def test_lost_packets_are_counted_by_sequence():
     wire = Wire()
     for _ in range(300):
@@ -195,15 +317,113 @@ def test_an_overtaken_packet_is_not_two_hundred_lost_ones():
     assert wire.vehicle.lost_packets == 0
 
 
-def test_a_boot_time_that_goes_back_is_a_reboot_but_reordering_is_not():
+def position(boot, north=0.0):
+    return common.MAVLink_local_position_ned_message(boot, north, 0, 0, 0, 0, 0)
+
+
+def test_a_clock_that_begins_anew_and_stays_is_a_reboot():
     wire = Wire()
+    wire(position(50_000), 20.0)
+    events = [wire(position(3_000 + 100 * k, 1.0), 23.0 + 0.1 * k) for k in range(20)]
+    assert events.index(["rebooted"]) == 5
+    assert events.count([]) == len(events) - 1
+    assert (wire.vehicle.boot_ms, wire.vehicle.position[0]) == (4_900, 1.0)
 
-    def position(boot):
-        return common.MAVLink_local_position_ned_message(boot, 0, 0, 0, 0, 0, 0)
 
-    wire(position(50_000))
-    assert wire(position(49_500)) == []
-    assert wire(position(1_000)) == ["rebooted"]
+@pytest.mark.parametrize(
+    ("stamps", "at"),
+    [
+        ([46_800, 46_900, 47_000, 47_100], [20.1, 20.2, 20.3, 20.9]),
+        ([0, 100, 200, 300], [20.1, 20.1, 20.1, 20.1]),
+        ([500], [20.2]),
+        ([30_000 + 100 * k for k in range(30)], [22.0 + 0.1 * k for k in range(30)]),
+    ],
+    ids=["seconds late", "a burst from the beginning", "one", "late after the vehicle is gone"],
+)
+def test_late_positions_neither_count_nor_are_a_reboot(stamps, at):
+    wire = Wire()
+    wire(position(50_000, 7.0), 20.0)
+    assert [wire(position(stamp), now) for stamp, now in zip(stamps, at, strict=True)] == [
+        [] for _ in at
+    ]
+    assert (wire.vehicle.position[0], wire.vehicle.position_at) == (7.0, 20.0)
+
+
+def test_old_positions_between_new_ones_are_never_a_reboot():
+    wire = Wire()
+    for k in range(200):
+        now = 20.0 + 0.05 * k
+        assert wire(position(50_000 + 50 * k, 7.0), now) == []
+        assert wire(position(10 * k), now) == []
+        assert wire.vehicle.position[0] == 7.0
+
+
+def test_a_clock_that_overflows_after_fifty_days_goes_on():
+    wire = Wire()
+    for k in range(10):
+        assert wire(position((2**32 - 250 + 50 * k) % 2**32, float(k)), 20.0 + 0.05 * k) == []
+    assert (wire.vehicle.position[0], wire.vehicle.boot_ms) == (9.0, 200)
+
+
+def test_a_reboot_after_a_month_is_a_reboot():
+    wire = Wire()
+    wire(position(2_900_000_000), 20.0)
+    events = [wire(position(3_000 + 100 * k), 23.0 + 0.1 * k) for k in range(9)]
+    assert events.count(["rebooted"]) == 1
+
+
+def test_late_attitudes_and_global_positions_do_not_count():
+    wire = Wire()
+    wire(common.MAVLink_attitude_message(50_000, 1.0, 0, 0, 0, 0, 0))
+    wire(common.MAVLink_global_position_int_message(50_000, 10_000_000, 0, 0, 0, 0, 0, 0, 0))
+    wire(common.MAVLink_attitude_message(49_900, 2.0, 0, 0, 0, 0, 0))
+    wire(common.MAVLink_global_position_int_message(46_800, 20_000_000, 0, 0, 0, 0, 0, 0, 0))
+    assert wire.vehicle.attitude[0] == 1.0
+    assert wire.vehicle.global_position.latitude == 1.0
+
+
+@pytest.mark.parametrize("behind", [2, 40, 100, 127, 200])
+def test_late_copies_of_unstamped_messages_change_nothing(behind):
+    """Copies of a standing vehicle's messages, as many packets late as a radio's buffer holds."""
+    wire = Wire()
+    wire(heartbeat(custom_mode=4 << 16))
+    old = [
+        message.pack(wire._mav)
+        for message in (
+            heartbeat(custom_mode=4 << 16),
+            current_mode(4 << 16),
+            common.MAVLink_extended_sys_state_message(0, 1),
+            common.MAVLink_gps_raw_int_message(0, 1, 0, 0, 0, 0, 0, 0, 0, 3),
+        )
+    ]
+    for k in range(behind):
+        wire(heartbeat(armed=True, custom_mode=6 << 16), 0.01 * k)
+        wire(common.MAVLink_extended_sys_state_message(0, 2), 0.01 * k)
+        wire(common.MAVLink_gps_raw_int_message(0, 3, 0, 0, 0, 0, 0, 0, 0, 9), 0.01 * k)
+    for data in old:
+        (packet,) = Decoder().feed(data)
+        wire.vehicle.receive(packet, 0.01 * behind)
+    assert wire.vehicle.take_events() == []
+    v = wire.vehicle
+    assert (v.armed, v.mode, v.landed_state, v.fix_type) == (True, "offboard", 2, 3)
+
+
+def test_a_late_copy_of_an_answer_does_not_acknowledge_the_next_command():
+    wire = Wire()
+    wire(heartbeat())
+    wire.vehicle.grip(closed=True)
+    wire.vehicle.tick(0.0)
+    (copy,) = Decoder().feed(common.MAVLink_command_ack_message(211, 0).pack(wire._mav))
+    assert wire(common.MAVLink_command_ack_message(211, 0), 0.1) == []
+    wire.vehicle.tick(0.2)
+    for k in range(30):
+        wire(heartbeat(), 0.2 + 0.1 * k)
+    wire.vehicle.take_events()
+    wire.vehicle.grip(closed=False)
+    wire.vehicle.tick(3.3)
+    wire.vehicle.receive(copy, 3.4)
+    wire.vehicle.tick(3.5)
+    assert wire.vehicle.commands.contains("release")
 
 
 def test_a_moved_origin_is_reported_but_rounding_is_not():
@@ -237,8 +457,7 @@ def test_a_mismatch_of_local_and_global_position_is_reported_once(metres, report
 
 def test_the_clock_offset_is_that_of_the_fastest_answer():
     wire = Wire()
-    for delay, late in ((0.4, 0.1), (0.02, 0.01), (0.3, 0.0)):
-        sent = 100.0
+    for delay, late, sent in ((0.4, 0.1, 100.0), (0.02, 0.01, 102.0), (0.3, 0.0, 104.0)):
         theirs = sent + delay / 2 + late + 7.0
         answer = common.MAVLink_timesync_message(int(theirs * 1e9), int(sent * 1e9))
         wire(answer, sent + delay)

@@ -35,7 +35,8 @@ ProgressCallback = Callable[[str, float], None]
 class VehicleAudit:
     """The state that one vehicle reports before arming.
 
-    ``deviations`` and ``correct`` are rows of the parameter table; ``parameters`` all parameters;
+    ``deviations`` and ``correct`` are rows of the parameter table; ``parameters`` all parameters,
+    or ``unread`` says how many are missing;
     ``health`` whether each subsystem is healthy; ``battery`` in percent, negative or NaN if it is
     unknown; ``problems`` the vehicle's own reasons why it cannot be armed.
     """
@@ -49,6 +50,7 @@ class VehicleAudit:
     parameters: Mapping[str, float]
     deviations: tuple[ParameterResult, ...]
     correct: tuple[ParameterResult, ...]
+    unread: str = ""
 
     def findings(self, required_battery: float = 0.0) -> Iterator[Finding]:
         """Yield the findings; ``required_battery`` is the percentage that the flight uses."""
@@ -64,7 +66,9 @@ class VehicleAudit:
         yield self._battery(name, required_battery)
         for row in self.deviations:
             yield Finding(row.severity, "parameters", row.message)
-        if not self.deviations:
+        if self.unread:
+            yield Finding("error", "parameters", f"{name}: {self.unread}")
+        elif not self.deviations:
             yield Finding("info", "parameters", f"{name}: all {len(self.correct)} correct")
 
     def _battery(self, name: str, required: float) -> Finding:
@@ -98,13 +102,6 @@ class Auditor:
         for vehicle in vehicles.values():
             vehicle.parameters.fetch()
         self._wait("parameters", lambda: _fetched(vehicles.values()))
-        problems = [
-            f"system {system}: {vehicle.parameters.problem}"
-            for system, vehicle in vehicles.items()
-            if vehicle.parameters.problem
-        ]
-        if problems:
-            raise VehicleError("\n".join(problems))
         self._fetch_reports()
         return [self._vehicle_audit(system) for system in vehicles]
 
@@ -175,7 +172,8 @@ class Auditor:
 
     def _vehicle_audit(self, system: int) -> VehicleAudit:
         report, name = self._reports[system], self.names[system]
-        values = dict(self.relay.team.vehicles[system].parameters.values)
+        received = self.relay.team.vehicles[system].parameters
+        values = dict(received.values)
         deviations, correct = evaluate(system, values, rules(name, self.demands))
         number = report.firmware
         return VehicleAudit(
@@ -188,6 +186,7 @@ class Auditor:
             parameters=values,
             deviations=tuple(deviations),
             correct=tuple(correct),
+            unread=received.problem,
         )
 
     def _wait(self, step: str, progress: Callable[[], tuple[int, int]]) -> None:
@@ -215,9 +214,9 @@ def _set(vehicles: Iterable[Vehicle], number: int) -> tuple[int, int]:
 
 
 def save_parameters(folder: Path, audits: Sequence[VehicleAudit]) -> None:
-    """Save the parameters of all vehicles in a folder, one JSON file per vehicle."""
+    """Save the parameters in a folder, one JSON file per vehicle of which all were read."""
     below = folder / "parameters"
     below.mkdir(parents=True, exist_ok=True)
-    for audit in audits:
+    for audit in (one for one in audits if not one.unread):
         text = json.dumps(dict(sorted(audit.parameters.items())), indent=1)
         (below / f"{audit.system}.json").write_text(text, encoding="utf-8")

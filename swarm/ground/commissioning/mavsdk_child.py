@@ -25,6 +25,7 @@ from mavsdk.plugins.info import Info
 from mavsdk.plugins.log_files import Entry, LogFiles, LogFilesError, LogFilesResult
 from mavsdk.plugins.telemetry import Telemetry
 
+from swarm.errors import printable
 from swarm.ground.child_process import die_with_parent
 
 DISCOVERY_TIMEOUT = 10.0
@@ -107,7 +108,9 @@ def _arming_problems(handle: Any) -> tuple[str, ...]:
     with suppress(MavsdkError):
         found = Events(handle).get_health_and_arming_checks_report()
         return tuple(
-            f"{problem.message}{': ' + problem.description if problem.description else ''}"
+            printable(
+                f"{problem.message}{': ' + problem.description if problem.description else ''}"
+            )
             for problem in found.all_problems
         )
     return ()
