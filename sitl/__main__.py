@@ -112,7 +112,10 @@ def _address(
 @click.option("--signing-key", type=FILE, help="Sign frames with this key, drop all others.")
 @click.option("--truth", type=FILE, help="Write the ground truth (JSON lines).")
 @click.option(
-    "--clock", type=FILE, help="Keep the world's time in this file (8 bytes, little-endian double)."
+    "--clock",
+    type=FILE,
+    help="Keep the world's time in this file (two "
+    "little-endian doubles: the world's time, and how far the ground station lets it go on).",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the connections as one JSON line.")
 @click.option(

@@ -15,7 +15,7 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
@@ -36,7 +36,11 @@ _LARGEST_LAG_FOLLOWED = 0.05
 """The same where a ground station follows emulated time: faster than real time, packets wait."""
 _TRUTH_INTERVAL = 0.1
 _BUFFER = 1 << 20
-_CLOCK = struct.Struct("<d")
+_CLOCK = struct.Struct("<dd")
+_TIME = struct.Struct("<d")
+_PATIENCE = 2.0
+"""Seconds of real time for which the world waits for a ground station that follows it: one that is
+killed does not come back, and its vehicles' failsafes are to be seen."""
 
 
 @dataclass
@@ -53,14 +57,16 @@ class Endpoint:
 class Server:
     """Connects an `Emulator` to sockets and the wall clock.
 
-    ``advance`` takes the world to a time; ``clock`` gets the world's time after every step, eight
-    bytes as a little-endian double; ``capture`` sends the vehicles' poses.
+    ``advance`` takes the world to a time; ``clock`` gets the world's time after every step, as a
+    little-endian double. The ground station that follows it may write a second one behind it: the
+    time up to which the world may go on. ``capture`` sends the vehicles' poses.
     """
 
     def __init__(self, emulator: Emulator, host: str, speed: float) -> None:
         self.emulator = emulator
         self.advance = emulator.advance
         self.clock: mmap.mmap | None = None
+        self._allowed, self._allowed_at = 0.0, 0.0
         self.capture: MotionCapture | None = None
         self.host = host
         self.speed = speed
@@ -146,6 +152,13 @@ class Server:
                 continue
             self.emulator.deliver(endpoint.vehicle, endpoint.link, data, now)
 
+    def _answer(self, ready: Sequence[tuple[int, int]], now: float) -> None:
+        """Receive what has arrived on descriptors, and send the answers at once."""
+        for descriptor, _ in ready:
+            self._receive(descriptor, now)
+            if descriptor in self.endpoints:
+                self._send_answer(self.endpoints[descriptor])
+
     def _flush(self) -> None:
         """Send all waiting frames."""
         for _, link, data in self.emulator.collect():
@@ -189,19 +202,21 @@ class Server:
                     # not beyond the next step, however long this process was held up here
                     elapsed = (time.monotonic() - start) * self.speed
                     now = min(max(emulator.time, elapsed), emulator.time + STEP)
-                    for descriptor, _ in ready:
-                        self._receive(descriptor, now)
-                        if descriptor in self.endpoints:
-                            self._send_answer(self.endpoints[descriptor])
+                    self._answer(ready, now)
                     continue
             elif wait < -largest_lag:
                 start -= wait
             else:
                 for descriptor, _ in self.poll.poll(0):
                     self._receive(descriptor, emulator.time)
+            if self._waits():
+                held = time.monotonic()
+                self._answer(self.poll.poll(1), emulator.time)
+                start += time.monotonic() - held
+                continue
             self.advance(emulator.time + STEP)
             if self.clock is not None:
-                _CLOCK.pack_into(self.clock, 0, emulator.time)
+                _TIME.pack_into(self.clock, 0, emulator.time)
             if self.capture is not None:
                 self.capture.send()
             self._flush()
@@ -210,6 +225,17 @@ class Server:
                 next_truth = emulator.time + _TRUTH_INTERVAL - 1e-6
             if parent is not None and os.getppid() != parent:
                 return
+
+    def _waits(self) -> bool:
+        """Return whether the ground station that follows this world's time is late."""
+        if self.clock is None:
+            return False
+        _, allowed = _CLOCK.unpack_from(self.clock)
+        moment = time.monotonic()
+        if allowed != self._allowed:
+            self._allowed, self._allowed_at = allowed, moment
+        late = 0.0 < allowed <= self.emulator.time
+        return late and moment - self._allowed_at < _PATIENCE
 
     def stop(self, *_: Any) -> None:
         """End `run` at its next step; a signal handler."""

@@ -152,7 +152,7 @@ def fly(
                 running.callback(forward.close)
             loop = Loop(
                 conductor, links, record, options.speed, tasks.run, preflight.relay, forward,
-                mocap=bridge, clock=clock.now if clock is not None else None, start=started,
+                mocap=bridge, world=clock, start=started,
             )  # fmt: skip
             loop.run()
             tasks.run(conductor.now)

@@ -18,7 +18,7 @@ from swarm.ground.mocap import MocapBridge
 from swarm.ground.record import Record
 from swarm.ground.relay import Relay
 from swarm.ground.sockets import Links
-from swarm.ground.world_clock import SHORTEST_WAIT
+from swarm.ground.world_clock import SHORTEST_WAIT, WorldClock
 from swarm.mission.fleet import Fleet
 
 _LEAD = 0.4
@@ -55,8 +55,8 @@ class Loop:
     forwards packets of other programs, ``forward`` copies what the vehicles send, ``mocap`` sends
     them their poses. ``lateness`` are the seconds between deadline and sending of every tick,
     ``cpu`` the share of one core.
-    ``clock`` returns seconds, by default of real time; flight time is zero at its ``start``, by
-    default when `run` begins.
+    ``world`` is the clock of a simulated world that is followed instead of real time, and that
+    waits for this loop; flight time is zero at its ``start``, by default when `run` begins.
     """
 
     conductor: Runnable
@@ -69,7 +69,7 @@ class Loop:
     lateness: list[float] = field(default_factory=list)
     cpu: float = 0.0
     mocap: MocapBridge | None = None
-    clock: Callable[[], float] | None = None
+    world: WorldClock | None = None
     start: float | None = None
     start_time: float = 0.0
 
@@ -101,6 +101,8 @@ class Loop:
             self.each_tick(now)
             missed = max(0.0, self._now() - deadline) // interval
             deadline += (missed + 1.0) * interval
+            if self.world is not None:
+                self.world.allow(deadline + interval)
         elapsed = time.monotonic() - began
         self.cpu = (time.process_time() - cpu) / max(elapsed, 1e-9)
 
@@ -116,12 +118,12 @@ class Loop:
                 return
 
     def _now(self) -> float:
-        return time.monotonic() if self.clock is None else self.clock()
+        return time.monotonic() if self.world is None else self.world.now()
 
     @property
     def _shortest(self) -> float:
         """Seconds to wait at least: a clock that stands still must not keep the processor busy."""
-        return 0.0 if self.clock is None else SHORTEST_WAIT
+        return 0.0 if self.world is None else SHORTEST_WAIT
 
     def _process(self, link: str, address: Address | None, data: bytes, now: float) -> None:
         if not self.conductor.receive(link, address, data, now):

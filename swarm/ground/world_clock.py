@@ -12,6 +12,8 @@ from pathlib import Path
 from swarm.errors import InputError, Problem
 
 _TIME = struct.Struct("<d")
+_ALLOWED_AT = _TIME.size
+"""Where the file has the time up to which the world may go on; other programs' clocks end here."""
 _STEP = 0.02
 """Seconds of the world between two values in the file."""
 _PATIENCE = 2.0
@@ -22,7 +24,7 @@ SHORTEST_WAIT = 0.001
 
 def create_clock(path: Path) -> None:
     """Create the file in which the emulator puts its time; raises `OSError`."""
-    path.write_bytes(_TIME.pack(0.0))
+    path.write_bytes(2 * _TIME.pack(0.0))
 
 
 def open_clock(path: Path) -> "WorldClock":
@@ -52,8 +54,8 @@ class WorldClock:
 
     def __init__(self, path: Path, speed: float) -> None:
         """Raise `OSError` if the file cannot be read."""
-        with path.open("rb") as file:
-            self._map = mmap.mmap(file.fileno(), _TIME.size, access=mmap.ACCESS_READ)
+        with path.open("r+b") as file:
+            self._map = mmap.mmap(file.fileno(), 0)
         self._speed = speed
         self._world, self._changed, self._last = -1.0, 0.0, 0.0
 
@@ -67,6 +69,15 @@ class WorldClock:
         self._last = max(self._last, world / self._speed + ahead)
         return self._last
 
+    def allow(self, until: float) -> None:
+        """Let the world go on until a time of this clock; it waits there for the next call.
+
+        It does so for two seconds of real time at most, and not before the first call.
+        """
+        if len(self._map) > _ALLOWED_AT:
+            _TIME.pack_into(self._map, _ALLOWED_AT, until * self._speed)
+
     def close(self) -> None:
-        """Close the file."""
+        """Let the world go on, and close the file."""
+        self.allow(0.0)
         self._map.close()
