@@ -10,6 +10,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import numpy as np
+
 from swarm import precompile
 from swarm.errors import InputError, Problem, Refused
 from swarm.flight.adherence import adherence
@@ -20,6 +22,7 @@ from swarm.flight.result import FlightResult
 from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.setup import Options
 from swarm.flight.snapshot import Event
+from swarm.flight.trace import Trace
 from swarm.flight.world import emulated_world
 from swarm.ground.callbacks import FlightCallbacks, publisher
 from swarm.ground.emulator import EmulatorProcess, RealFirmware
@@ -29,6 +32,7 @@ from swarm.ground.mocap import ANYWHERE, DatagramCapture, MocapBridge, open_capt
 from swarm.ground.operator import ControlSocket, OperatorConsole, terminal_keys
 from swarm.ground.preflight import Preflight
 from swarm.ground.record import Record
+from swarm.ground.record_reader import recorded_flight
 from swarm.ground.relay import Relay
 from swarm.ground.signing_key import signing_with
 from swarm.ground.sockets import Links, open_links
@@ -156,7 +160,8 @@ def fly(
             )  # fmt: skip
             loop.run()
             tasks.run(conductor.now)
-        result = _result(conductor, emulator, loop, tuple(tasks.events), folder)
+        record.close()
+        result = _result(conductor, emulator, loop, tuple(tasks.events), record)
         record.after(result)
         return result
 
@@ -269,14 +274,14 @@ def _result(
     emulator: EmulatorProcess | None,
     loop: Loop,
     events: tuple[Event, ...],
-    folder: Path,
+    record: Record,
 ) -> FlightResult:
     outcome = conductor.finished
     if outcome is None:
         raise AssertionError("the loop ends when the conductor has finished")
     if emulator is not None and outcome.word == "failed" and (ended := emulator.ended()):
         outcome = replace(outcome, explanation=f"{outcome.explanation}; {ended}")
-    trace = conductor.trace()
+    trace = _flown_trace(conductor, record)
     return FlightResult(
         outcome=outcome,
         trace=trace,
@@ -289,8 +294,27 @@ def _result(
         ),
         basis=conductor.basis,
         adherence=adherence(conductor.plan, trace, conductor.basis),
-        record=folder,
+        record=record.folder,
     )
+
+
+def _flown_trace(conductor: Conductor, record: Record) -> Trace:
+    """Return the trace by the record, so that ``swarm verify`` finds the same figures in it.
+
+    Strays of the cable are estimated in flight only. Of a record that is damaged, or has no flight,
+    the trace that was kept in flight is returned.
+    """
+    kept = conductor.trace()
+    if record.problem is not None or record.dropped or not len(kept.time):
+        return kept
+    try:
+        log = recorded_flight(record.folder, conductor.plan)
+    except InputError:
+        return kept
+    time = log.trace.time + log.event_time
+    latest = np.searchsorted(kept.time, time, "right") - 1
+    stray = np.where(latest[:, None] >= 0, kept.stray[latest], np.nan)
+    return replace(log.trace, time=time, stray=stray)
 
 
 @contextmanager

@@ -15,11 +15,13 @@ import pytest
 from pymavlink import mavutil
 
 from swarm.errors import InputError, VehicleError
+from swarm.flight.flown_swing import largest_stray
 from swarm.flight.world import emulated_world
 from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.emulator import EmulatorProcess, RealFirmware
 from swarm.ground.fly import FlyOptions, fly
 from swarm.ground.record_reader import recorded_flight, recorded_plan
+from swarm.ground.record_verification import verify_record
 from swarm.ground.sockets import open_links
 from swarm.mission.fleet import emulated_fleet
 from swarm.verification import verify_trace
@@ -56,6 +58,14 @@ def test_a_flight_over_udp_succeeds(flown):
     assert result.statistics.setpoints > 500
     assert {event.kind for event in events} >= {"discovered", "gate", "armed", "landed", "outcome"}
     assert {snapshot.phase for snapshot in snapshots} >= {"takeoff", "fold", "land"}
+
+
+def test_the_figures_of_a_flight_are_those_that_its_verification_finds(flown):
+    result = flown[0]
+    verified = verify_record(result.record)
+    assert verify_trace(FLIGHT_PLAN.plan, result.trace) == verified.verification
+    assert result.adherence == verified.adherence
+    assert largest_stray(result.trace).estimated > 0.0
 
 
 def test_its_record_is_complete(flown):
