@@ -1,7 +1,5 @@
 """The ground station itself: gaps in its own stream of setpoints."""
 
-import numpy as np
-
 from swarm.flight.detect.standstill import SLOW_FROM
 from swarm.flight.failures import Failure, FailureKind, Finding, HoldCause, Recovery
 from swarm.flight.observation import Expected, Observation
@@ -31,11 +29,11 @@ class StationDetector:
         return [Failure(FailureKind.STATION_STALLED, words)]
 
     def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
-        """Return that all vehicles with setpoints follow them again."""
+        """Return that all vehicles get setpoints, and follow them again."""
         if STALLED not in expected.holds or seen.now - self._since < AFTER_STALL:
             return []
-        error = seen.error[expected.streaming]
-        if not np.all(error <= SLOW_FROM * expected.allowed_error):
+        follow = expected.streaming & (seen.error <= SLOW_FROM * expected.allowed_error)
+        if not follow.all():
             return []
         ended = frozenset({FailureKind.STATION_STALLED})
         return [Recovery(ended, "all vehicles follow the setpoints again", "hold")]

@@ -61,6 +61,7 @@ class SteppedSimulation:
     """Conductor and emulator of a flight, in steps of virtual time.
 
     ``delivers`` decides whether a packet of a system id reaches the ground station (None: all do).
+    ``unread`` are packets that came while the ground station stood still: its socket keeps them.
     """
 
     flight_plan: CertifiedPlan
@@ -70,6 +71,7 @@ class SteppedSimulation:
     ticks: int = 0
     events: list[Event] = field(default_factory=list)
     delivers: Callable[[int, bytes], bool] | None = None
+    unread: list[tuple[int, bytes]] = field(default_factory=list)
 
     @classmethod
     def create(cls, flight_plan: CertifiedPlan, fleet: Fleet, seed: int) -> "SteppedSimulation":
@@ -93,10 +95,13 @@ class SteppedSimulation:
         self.ticks += 1
         conductor, now = self.conductor, self.now
         for sysid, data in self.emulator.step(now):
-            if station and (self.delivers is None or self.delivers(sysid, data)):
-                conductor.receive(LINK, sysid, data, now)
+            if self.delivers is None or self.delivers(sysid, data):
+                self.unread.append((sysid, data))
         if not station:
             return
+        for sysid, data in self.unread:
+            conductor.receive(LINK, sysid, data, now)
+        self.unread.clear()
         for outgoing in conductor.tick(now):
             if isinstance(outgoing.address, int):
                 self.emulator.receive(outgoing.address, outgoing.data, now)
