@@ -1,11 +1,13 @@
 """Files of other kinds, damaged and hostile ones: every reader refuses them in words, and soon."""
 
+import io
 import json
 import random
 import re
 import shutil
 import struct
 import time
+import zipfile
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -131,6 +133,7 @@ def test_commands_end_with_the_code_of_a_wrong_file(tmp_path):
 
 NUMBER = re.compile(rb"-?[0-9]+(\.[0-9]+)?")
 WILD = [
+    b"1" + b"0" * 400,
     b"nan", b"1e400", b"-1", b"0", b"[]", b"{}", b"null", b'""', b"9007199254740993", b"1e300",
     b"true", b"[[1]]", b"\xff", b",", b"\n", b"*a", b"&a ", b"- ", b"NaN",
 ]  # fmt: skip
@@ -187,6 +190,18 @@ def read_damaged(kind: str, seed: int, folder: Path) -> None:
 def test_damaged_files_are_read_or_refused(kind, tmp_path):
     for seed in range(20):
         read_damaged(kind, seed, tmp_path)
+
+
+def test_a_motion_that_claims_more_than_memory_is_refused():
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (10000000000000,), }"
+    header += b" " * (118 - len(header) - 1) + b"\n"
+    array = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("times.npy", array)
+        archive.writestr("coefficients.npy", array)
+    with pytest.raises(InputError, match=r"a\.plan: the plan cannot be read"):
+        read_plan_file(repacked("motion.npz", buffer.getvalue()), "a.plan")
 
 
 @settings(max_examples=40)

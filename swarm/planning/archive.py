@@ -29,7 +29,7 @@ from swarm.version import __version__
 
 READ_ERRORS: Final = (
     KeyError, TypeError, ValueError, AttributeError, OSError, EOFError, zipfile.BadZipFile,
-    zlib.error, NotImplementedError, RuntimeError,
+    zlib.error, NotImplementedError, RuntimeError, OverflowError, MemoryError,
 )  # fmt: skip
 """Exceptions that the libraries raise for damaged JSON and .npz files."""
 
