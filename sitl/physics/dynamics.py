@@ -222,7 +222,10 @@ class Bodies:
     ) -> None:
         """Set one vehicle's goal: position, velocity, acceleration (9 numbers, world ENU).
 
-        ``position_axes`` and ``velocity_axes`` are 1 for controlled axes, 0 for others.
+        ``position_axes`` and ``velocity_axes`` are 1 for controlled axes, 0 for others: along axes
+        without a velocity setpoint, no integral resists what the cable pulled before. (PX4 adds
+        none to an undefined setpoint, ``PositionControl.cpp``; ArduPilot's ``land_nogps_run``
+        levels the vehicle.)
         """
         self.set_goal_values(i, goal)
         axes = (*position_axes, *velocity_axes)
@@ -230,6 +233,7 @@ class Bodies:
             self._axes[i] = axes
             self.position_axes[i] = position_axes
             self.velocity_axes[i] = velocity_axes
+            self.integral[i] *= velocity_axes
             self.refresh()
 
     def set_goal_values(self, i: int, goal: tuple[float, ...]) -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from sitl import Emulator
+from sitl.autopilots import controller_goals
 from sitl.cable.rope import Rope
 from sitl.physics import landing
 from sitl.physics.dynamics import STEP, Bodies
@@ -233,6 +234,22 @@ def test_a_step_equals_the_cascade_of_both_autopilots(seed: int, wild: float) ->
     assert np.abs(b.position - position).max() < 1e-9
     assert np.abs(b.velocity - velocity).max() < 1e-9
     assert np.abs(b.integral - integral).max() < 1e-9
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_a_vehicle_that_descends_level_keeps_no_thrust_against_an_earlier_pull(
+    autopilot: str,
+) -> None:
+    ground = airborne(autopilot)
+    vehicle, b = ground.emulator.vehicles[0], ground.emulator.bodies
+    b.integral[0] = (0.8, -0.5, 0.3)
+    controller_goals.descend(vehicle, 0.6, steer=False)
+    assert b.integral[0].tolist() == [0.0, 0.0, 0.3]
+    b.velocity[:] = 0.0
+    for _ in range(int(5.0 / STEP)):
+        b.step()
+    assert np.abs(b.velocity[0, :2]).max() < 0.05
+    assert b.velocity[0, 2] == pytest.approx(-0.6, abs=0.1)
 
 
 def test_a_copy_in_flight_continues_independently() -> None:
