@@ -16,6 +16,7 @@ from swarm.flight.failures import HoldCause
 from swarm.flight.monitoring import Sample
 from swarm.mavlink.telemetry_table import (
     ARMED,
+    ASKED_AT,
     ATTITUDE,
     BATTERY,
     FIX_TYPE,
@@ -53,6 +54,7 @@ class Observation:
     rows: Indices
     measured: Measured
     heard_at: Floats
+    asked_at: Floats
     position_at: Floats
     attitude: Floats
     mode_at: Floats
@@ -89,6 +91,10 @@ class Observation:
         """Return the seconds since a packet of a vehicle was received."""
         return self.now - float(self.heard_at[k])
 
+    def unanswered_for(self, k: int) -> float:
+        """Return the seconds for which a vehicle has not answered; 0 where it has, or never did."""
+        return max(0.0, self.now - float(self.asked_at[k]))
+
     def shifted(self, k: int, jump: Floats) -> "Observation":
         """Return the same with a vehicle's position moved back by (3,) metres."""
         places = self.measured.places.copy()
@@ -110,6 +116,7 @@ def observation_of(
         rows=rows,
         measured=measured,
         heard_at=reported[:, RECEIVED_AT],
+        asked_at=reported[:, ASKED_AT],
         position_at=reported[:, POSITION_AT],
         attitude=reported[:, ATTITUDE : ATTITUDE + 3],
         mode_at=reported[:, MODE_AT],

@@ -275,7 +275,7 @@ def _timesync(vehicle: VehicleState, message: Message, now: float) -> None:
         apart = abs(offset - vehicle.latest_clock_offset)
         vehicle.second_clock |= apart > _CLOCK_TOLERANCE + round_trip / 2.0
         return
-    vehicle.timesync_at, vehicle.timesync_sent = now, sent
+    vehicle.timesync_at, vehicle.timesync_sent, vehicle.asked_at = now, sent, math.inf
     vehicle.latest_round_trip, vehicle.latest_clock_offset = round_trip, offset
     if not vehicle.round_trip <= round_trip:
         vehicle.clock_offset = vehicle.latest_clock_offset

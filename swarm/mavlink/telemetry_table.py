@@ -22,11 +22,12 @@ RECEIVED_AT, POSITION_AT, POSITION, VELOCITY, ATTITUDE = 0, 1, 2, 5, 8
 BOOT_TIME, PACKETS, LOST_PACKETS, COMPONENT = 11, 12, 13, 14
 MODE_AT, BATTERY, POSITION_HEALTHY, FIX_TYPE, HEIGHT_DIFFERENCE = 15, 16, 17, 18, 19
 VERTICAL_ACCURACY, GRIPPED, ARMED = 20, 21, 22
-ATTITUDE_TIME, GLOBAL_TIME, FASTEST, FLOW = 23, 24, 25, 26
-WIDTH = 27
+ATTITUDE_TIME, GLOBAL_TIME, FASTEST, FLOW, ASKED_AT = 23, 24, 25, 26, 27
+WIDTH = 28
 """Columns: times, position and velocity in NED, attitude, boot time of the position in ms, counts,
 the autopilot's component; then what changes rarely, but is observed at every tick; the boot times
-of the attitude and the global position, the smallest difference of clocks, the order of packets."""
+of the attitude and the global position, the smallest difference of clocks, the order of packets, and when an unanswered
+clock request was sent."""
 
 _CLOCK_RANGE, _LONGEST_STEP = 2.0**32, 3.6e6
 """Milliseconds: a boot time begins again at zero after 49.7 days; a step of an hour is no step of
@@ -74,7 +75,7 @@ class TelemetryTable:
         self.values[:, RECEIVED_AT] = self.values[:, POSITION_AT] = -math.inf
         self.values[:, [BOOT_TIME, ATTITUDE_TIME, GLOBAL_TIME]] = -1.0
         self.values[:, FASTEST], self.values[:, FLOW] = math.inf, DIRECT
-        self.values[:, COMPONENT] = 1.0
+        self.values[:, ASKED_AT], self.values[:, COMPONENT] = math.inf, 1.0
         self.values[:, PACKETS] = self.values[:, LOST_PACKETS] = 0.0
         self.values[:, MODE_AT], self.values[:, FIX_TYPE] = -math.inf, -1.0
         self.values[:, POSITION_HEALTHY] = 1.0

@@ -80,6 +80,11 @@ class Vehicle(VehicleState):
         if (first or preferred) and flying_autopilot(heartbeat) is not None:
             self.component = self.commands.component = component
 
+    def note_clock_request(self, now: float) -> None:
+        """Note that a clock request was sent, which a vehicle that has answered any answers."""
+        if math.isinf(self.asked_at) and math.isfinite(self.timesync_at):
+            self.asked_at = now
+
     @property
     def busy(self) -> bool:
         """Whether there may be messages to send."""

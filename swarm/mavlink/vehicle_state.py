@@ -13,6 +13,7 @@ from swarm.mavlink.frames import Origin
 from swarm.mavlink.parameters import Parameters
 from swarm.mavlink.telemetry_table import (
     ARMED,
+    ASKED_AT,
     ATTITUDE,
     BATTERY,
     BOOT_TIME,
@@ -79,6 +80,8 @@ class VehicleState:
     to 1. NaN and None mean "not received".
 
     - ``telemetry``, ``row``: the table with the frequent values, and this vehicle's row in it.
+    - ``asked_at``: when the first clock request was sent that has not been answered; infinite
+      without any, or where the vehicle has never answered one.
     - ``position_healthy``: False if SYS_STATUS reports an unhealthy position estimate.
     - ``height_difference``: satellite altitude minus altitude of the local position, averaged;
       ``height_average`` holds when the average began, its latest sample, and its value.
@@ -129,6 +132,7 @@ class VehicleState:
     _events: list[VehicleEvent] = field(default_factory=list)
     _stopped_streams: set[int] = field(default_factory=set)
 
+    asked_at = FloatField(ASKED_AT)
     received_at = FloatField(RECEIVED_AT)
     position_at = FloatField(POSITION_AT)
     position = VectorField(POSITION)

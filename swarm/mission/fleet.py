@@ -100,8 +100,8 @@ class Limits(Section):
     silence: float = number(
         0.7,
         "s",
-        "Time without messages from a vehicle after which the team holds; with a longer time "
-        "the team flies slower where a stopped vehicle would obstruct others.",
+        "Time without messages from a vehicle, or without its answers, after which the team holds; "
+        "with a longer time the team flies slower where a stopped vehicle would obstruct others.",
         above=0.1,
         most=10.0,
     )

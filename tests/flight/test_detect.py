@@ -18,6 +18,7 @@ from swarm.flight.estimation import Measured
 from swarm.flight.failures import OPERATOR, Failure, FailureKind, Recovery
 from swarm.flight.modes import execute
 from swarm.flight.observation import Expected, Observation
+from swarm.flight.router import answer_limit, timesync_interval
 from swarm.flight.stages import Stage
 from swarm.mavlink.telemetry_table import WIDTH
 from swarm.mavlink.vehicle_state import VehicleEvent
@@ -40,7 +41,7 @@ def seen(now=10.0, at=None, position=PLACES, velocity=None, boot=None, **fields)
     table = np.zeros((3, WIDTH))
     table[:, 0] = now
     values = {
-        "heard_at": np.full(3, now), "position_at": np.full(3, now), "mode_at": np.full(3, now),
+        "heard_at": np.full(3, now), "asked_at": np.full(3, np.inf), "position_at": np.full(3, now), "mode_at": np.full(3, now),
         "attitude": np.zeros((3, 3)), "battery": np.full(3, 0.9), "located": np.full(3, True),
         "fix": np.full(3, 3), "height_gap": np.zeros(3), "height_accuracy": np.full(3, 0.1),
         "gripped": np.full(3, True), "armed": np.full(3, True),
@@ -87,6 +88,20 @@ def test_a_vehicle_is_silent_once_and_is_received_again_with_its_mode():
     assert isinstance(recovery, Recovery)
     assert FailureKind.SILENT in recovery.kinds
     assert recovery.vehicle == 1
+
+
+def test_a_vehicle_that_does_not_answer_is_silent_until_it_does():
+    links = LinkDetector(LIMITS, Latch())
+    late = answer_limit(LIMITS)
+    assert late + timesync_interval(LIMITS) == pytest.approx(LIMITS.silence)
+    asked = np.array([np.inf, 10.0 - late + 0.01, np.inf])
+    assert links.detect(seen(asked_at=asked), expected()) == []
+    (failure,) = links.detect(seen(asked_at=asked - 0.02), expected())
+    assert (failure.kind, failure.vehicle) == (FailureKind.SILENT, 1)
+    assert failure.message == "vehicle 2 has not answered for 0.7 s: it may not receive"
+    assert links.detect(seen(asked_at=asked - 1.0), expected()) == []
+    (recovery,) = links.detect(seen(), expected())
+    assert (recovery.kinds >= {FailureKind.SILENT}, recovery.vehicle) == (True, 1)
 
 
 def test_a_jump_is_measured_and_its_report_does_not_count_twice():

@@ -1,8 +1,9 @@
-"""Silent vehicles: a lost link, or a vehicle that has fallen."""
+"""Silent vehicles: a lost link, in one direction or both, or a vehicle that has fallen."""
 
 from swarm.flight.detect.latch import Latch
 from swarm.flight.failures import Failure, FailureKind, Finding, Recovery
 from swarm.flight.observation import Expected, Observation
+from swarm.flight.router import answer_limit
 from swarm.mission.fleet import Limits
 
 MODE_VALID = 1.5
@@ -22,10 +23,13 @@ class LinkDetector:
         self._limits, self._reported = limits, reported
         self._silent: set[int] = set()
         self._shortest = min(FALLEN_SILENCE, limits.silence, limits.lost or limits.silence)
+        self._unanswered = answer_limit(limits)
 
     def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
         """Return the failures and recoveries of the links at this tick."""
-        if not self._silent and seen.now - float(seen.heard_at.min()) <= self._shortest:
+        heard = seen.now - float(seen.heard_at.min()) <= self._shortest
+        answered = seen.now - float(seen.asked_at.min()) <= self._unanswered
+        if not self._silent and heard and answered:
             return []
         limits, found = self._limits, list[Finding]()
         lost = [
@@ -47,11 +51,15 @@ class LinkDetector:
         return found
 
     def _silence(self, seen: Observation, k: int) -> list[Finding]:
-        """Return that a vehicle falls silent, or is received again."""
-        silent, name = seen.silent_for(k) > self._limits.silence, seen.names[k]
+        """Return that a vehicle falls silent or does not answer, or that it is received again."""
+        name, words = seen.names[k], ""
+        if seen.silent_for(k) > self._limits.silence:
+            words = f"{name} has been silent for {self._limits.silence:g} s"
+        elif seen.unanswered_for(k) > self._unanswered:
+            words = f"{name} has not answered for {self._limits.silence:g} s: it may not receive"
+        silent = bool(words)
         if silent and k not in self._silent:
             self._silent.add(k)
-            words = f"{name} has been silent for {self._limits.silence:g} s"
             return [Failure(FailureKind.SILENT, words, k)]
         # after a gap it may land by itself: its mode must be known first
         if silent or k not in self._silent or not mode_valid(seen, k):

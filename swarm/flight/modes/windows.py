@@ -1,18 +1,14 @@
 """Whether a team outside the plan may land or release at a moment, or waits for a vehicle."""
 
-import math
-
 import numpy as np
 
 from swarm.certification.contingency_windows import rotors_clear
 from swarm.flight.pace import rewind_end
 from swarm.flight.policy import Response, Windows
-from swarm.flight.router import TIMESYNC_INTERVAL
+from swarm.flight.router import answer_limit
 from swarm.flight.state import FlightState
 from swarm.mavlink.vehicle import Vehicle
 
-UNANSWERED = TIMESYNC_INTERVAL + 0.7
-"""Seconds without an answer after which a vehicle may not receive; round trips take up to 0.7 s."""
 LONGEST_HOVER, DESCENT_SPEED = 5.0, 0.2
 """Seconds for which the team waits until a vehicle that lands alone descends, and the speed in m/s
 from which it does: ArduPilot hovers for 4 s before the landing of a failsafe (LAND_WITH_DELAY_MS in
@@ -104,11 +100,10 @@ def nearest_open(flight: FlightState, response: Response) -> float | None:
 
 
 def unanswering(flight: FlightState) -> list[Vehicle]:
-    """Return the vehicles that have missed the last clock request, of those that answer any."""
+    """Return the vehicles that may not receive: they have not answered lately."""
+    seen, longest = flight.observation, answer_limit(flight.setup.fleet.limits)
     return [
         vehicle
         for k, vehicle in enumerate(flight.roster.vehicles)
-        if flight.now - vehicle.timesync_at > UNANSWERED
-        and math.isfinite(vehicle.timesync_at)
-        and k not in flight.streams.fallen
+        if seen.unanswered_for(k) > longest and k not in flight.streams.fallen
     ]

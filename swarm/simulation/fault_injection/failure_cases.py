@@ -20,9 +20,6 @@ _LANDS_ALONE = (
     "the failsafes of the autopilots land the vehicles where they are; where the plan has no "
     "window for landing, cable may touch a rotor on the ground"
 )
-_SLOW_MOTION = (
-    "detected by the tracking error, which takes longer where the plan hardly moves the vehicles"
-)
 _SILENCE = 1.2
 """Seconds: more than the fleet's limits.silence and a packet's time."""
 
@@ -48,21 +45,17 @@ def _gaps() -> Iterator[FailureCase]:
                     ends.append("landed")
                 if lands_alone:
                     ends.append("landed by failsafe")
-                limit = 2.0 if direction == "up" else _SILENCE
-                reasons = [_SLOW_MOTION] if direction == "up" else []
-                reasons += [_LANDS_ALONE] if lands_alone else []
                 yield FailureCase(
                     f"{name} gap of {seconds:g} s, {'all' if whole else 'one'}",
                     "links",
                     tuple(ends),
                     _gap(seconds, direction),
-                    detection_limit=None if seconds < 1.0 else limit,
-                    slows_clock=direction == "up",
+                    detection_limit=None if seconds < 1.0 else _SILENCE,
                     whole_team=whole,
                     duration=seconds,
                     stream_loss=direction != "down" and seconds >= STREAM_LOSS_TIME,
                     lands_alone=lands_alone,
-                    explanation="; ".join(reasons),
+                    explanation=_LANDS_ALONE if lands_alone else "",
                 )
 
 
