@@ -34,18 +34,21 @@ Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.int64]
 
+FIX_3D = 3
+"""GPS_FIX_TYPE_3D_FIX."""
+
 
 @dataclass(frozen=True, eq=False)
 class Observation:
     """The latest reports of n vehicles at the time ``now``.
 
     ``table`` (m, WIDTH) is the team's telemetry table, ``rows`` (n,) the vehicles' rows in it.
-    ``heard_at``, ``position_at`` and ``mode_at`` (n,) are times in seconds; ``attitude`` (n, 3)
-    roll, pitch and yaw in radians. ``battery`` (n,) is a share 0…1, ``located`` (n,) whether the
-    vehicle has a position estimate, ``fix`` (n,) GPS_FIX_TYPE (-1: not reported). ``height_gap``
-    (n,) in metres is the local height against the GPS, ``height_accuracy`` (n,) the receiver's own
-    statement; ``gripped`` (n,) whether the vehicle holds the cable, ``armed`` (n,) whether its
-    motors run. NaN: not known.
+    ``heard_at``, ``asked_at`` (`VehicleState`), ``position_at`` and ``mode_at`` (n,) are times in
+    seconds; ``attitude`` (n, 3) roll, pitch and yaw in radians. ``battery`` (n,) is a share 0…1,
+    ``located`` (n,) whether the vehicle has a position estimate, ``fix`` (n,) GPS_FIX_TYPE (-1: not
+    reported). ``height_gap`` (n,) in metres is the local height against the GPS,
+    ``height_accuracy`` (n,) the receiver's own statement; ``gripped`` (n,) whether the vehicle
+    holds the cable, ``armed`` (n,) whether its motors run. NaN: not known.
     """
 
     now: float
@@ -80,6 +83,12 @@ class Observation:
     def error(self) -> Floats:
         """Tracking errors (n,) in metres; NaN: not known."""
         return self.measured.error
+
+    @property
+    def poor_fix(self) -> Flags:
+        """Whether a vehicle (n,) has a GPS receiver without a position in space."""
+        flags: Flags = (self.fix >= 0) & (self.fix < FIX_3D)
+        return flags
 
     @cached_property
     def largest_error(self) -> float:

@@ -272,6 +272,24 @@ def test_the_team_descends_with_a_vehicle_that_lands_alone(team):
     assert apart < 0.5
 
 
+@pytest.mark.parametrize("kind", ["position_loss", "gps_loss"])
+@pytest.mark.parametrize("team", ["ardupilot", "px4"])
+def test_the_others_stay_above_a_vehicle_that_drifts_until_it_is_down(team, kind):
+    flight = SteppedSimulation.create(PLAN, failure_test_fleet(3, team), seed=2)
+    while flight.conductor.clock.time < PLAN.plan.phase("fold").start + 2.0:
+        flight.step()
+    flight.emulator.inject(Fault.model_validate({"at": flight.now, "vehicle": 2, "kind": kind}))
+    before = flight.emulator.truth().position[:, 2]
+    while (position := flight.emulator.truth().position)[1, 2] > 0.3:
+        assert (position[[0, 2], 2] > before[[0, 2]] - 0.3).all()
+        flight.step()
+    assert not flight.emulator.truth().gripped.any()
+    assert np.linalg.norm(position[[0, 2], :2] - position[1, :2], axis=1).min() > 2.0
+    while flight.conductor.finished is None:
+        flight.step()
+    assert not flight.emulator.truth().contacts
+
+
 def moving_to_a_landing(team: str, *, releasable: bool = False) -> SteppedSimulation:
     """A flight whose operator commands to land, in the fold and five seconds before all can.
 

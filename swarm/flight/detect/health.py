@@ -8,8 +8,6 @@ from swarm.flight.observation import Expected, Observation
 
 BATTERY_LOW, BATTERY_CRITICAL = 0.2, 0.1
 """Shares of charge; above those at which autopilots act alone, so that the team decides."""
-FIX_3D = 3
-"""GPS_FIX_TYPE_3D_FIX."""
 
 
 class HealthDetector:
@@ -20,8 +18,7 @@ class HealthDetector:
 
     def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
         """Return the failures of batteries and positions at this tick."""
-        poor = (seen.fix >= 0) & (seen.fix < FIX_3D)
-        suspect = (seen.battery <= BATTERY_LOW) | ~seen.located | poor
+        suspect = (seen.battery <= BATTERY_LOW) | ~seen.located | seen.poor_fix
         found: list[Finding] = []
         for k in np.flatnonzero(suspect & expected.armed & ~expected.may_land).tolist():
             battery, name = float(seen.battery[k]), seen.names[k]
@@ -33,7 +30,7 @@ class HealthDetector:
             if not seen.located[k] and self._first(FailureKind.POSITION_LOST, k):
                 words = f"{name} has no position estimate"
                 found.append(Failure(FailureKind.POSITION_LOST, words, k))
-            if poor[k] and self._gps and self._first(FailureKind.FIX_LOST, k):
+            if seen.poor_fix[k] and self._gps and self._first(FailureKind.FIX_LOST, k):
                 words = f"{name} has lost its GPS fix"
                 found.append(Failure(FailureKind.FIX_LOST, words, k))
         return found

@@ -15,6 +15,7 @@ from swarm.flight.modes.approach import at_rest, contingency_of, move_on, stoppe
 from swarm.flight.modes.transitions import change_stage
 from swarm.flight.modes.windows import (
     LONGEST_HOVER,
+    adrift,
     nearest_open,
     not_following,
     stays_above,
@@ -246,9 +247,12 @@ def _release(flight: FlightState) -> None:
 def _begin_separation(flight: FlightState) -> None:
     """Take the path apart that the plan has for this moment, or away from the team's centre.
 
-    A vehicle that does not follow stays where it is, and the others move away from it. From two
-    such vehicles, no path leads away without leading towards one of them.
+    A vehicle that does not follow stays where it is, or drifts without a position and is commanded
+    to land; the others move away from it. From two such vehicles, no path leads away without
+    leading towards one of them.
     """
+    for k in adrift(flight):
+        stop_stream(flight, k)
     setup, streams = flight.setup, flight.streams
     mission, start = setup.plan.mission, streams.setpoint.copy()
     staying = not_following(flight)
@@ -275,7 +279,17 @@ def _begin_separation(flight: FlightState) -> None:
 
 
 def _separate(flight: FlightState) -> None:
-    if flight.now - contingency_of(flight).step_since > flight.guidance.duration:
+    """Move apart; then stay above a vehicle that lands without setpoints, for T at most."""
+    alone = [
+        (k, flight.roster.vehicles[k])
+        for k in not_following(flight)
+        if not flight.roster.vehicles[k].in_manual_mode
+    ]
+    for k, vehicle in alone:
+        _land(flight, k, vehicle)
+    lands = any(one.armed and not one.on_ground and flight.received(one) for _, one in alone)
+    longest = flight.guidance.duration + (flight.setup.fleet.limits.hold if lands else 0.0)
+    if flight.now - contingency_of(flight).step_since > longest:
         _begin_descent(flight, StepTrigger.APART)
 
 

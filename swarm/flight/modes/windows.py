@@ -45,6 +45,14 @@ def not_following(flight: FlightState) -> list[int]:
     return [k for k in np.flatnonzero(~streams.active).tolist() if k not in streams.fallen]
 
 
+def adrift(flight: FlightState) -> list[int]:
+    """Return the vehicles that do not know where they are, so that they keep no place."""
+    seen, lost = flight.observation, ~flight.observation.located
+    if flight.setup.fleet.frame == "gps":
+        lost = lost | seen.poor_fix
+    return [k for k in np.flatnonzero(lost).tolist() if k not in flight.streams.fallen]
+
+
 def waits_to_land(flight: FlightState, since: float) -> bool:
     """Return whether the team must not descend yet, because a vehicle would stay above it.
 
