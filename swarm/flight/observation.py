@@ -101,8 +101,12 @@ class Observation:
         return self.now - float(self.heard_at[k])
 
     def unanswered_for(self, k: int) -> float:
-        """Return the seconds for which a vehicle has not answered; 0 where it has, or never did."""
-        return max(0.0, self.now - float(self.asked_at[k]))
+        """Return the seconds for which a vehicle that is received has not answered; 0 where it has.
+
+        Where nothing was received since the request, its silence tells as much.
+        """
+        asked = float(self.asked_at[k])
+        return self.now - asked if asked < self.heard_at[k] else 0.0
 
     def shifted(self, k: int, jump: Floats) -> "Observation":
         """Return the same with a vehicle's position moved back by (3,) metres."""

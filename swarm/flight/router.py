@@ -369,8 +369,8 @@ class Team:
         for vehicle in self.vehicles.values():
             if vehicle.received_at <= since:
                 vehicle.received_at += seconds
-            if vehicle.timesync_at <= since:
-                vehicle.timesync_at += seconds
+            if vehicle.asked_at <= since:
+                vehicle.asked_at += seconds
 
     def _heartbeats(self) -> Iterable[Outgoing]:
         spoken_to = {id(route) for ways in self._ways.values() for route in ways.values()}

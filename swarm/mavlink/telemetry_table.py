@@ -26,8 +26,8 @@ ATTITUDE_TIME, GLOBAL_TIME, FASTEST, FLOW, ASKED_AT = 23, 24, 25, 26, 27
 WIDTH = 28
 """Columns: times, position and velocity in NED, attitude, boot time of the position in ms, counts,
 the autopilot's component; then what changes rarely, but is observed at every tick; the boot times
-of the attitude and the global position, the smallest difference of clocks, the order of packets, and when an unanswered
-clock request was sent."""
+of the attitude and the global position, the smallest difference of clocks, the order of packets,
+and when an unanswered clock request was sent."""
 
 _CLOCK_RANGE, _LONGEST_STEP = 2.0**32, 3.6e6
 """Milliseconds: a boot time begins again at zero after 49.7 days; a step of an hour is no step of

@@ -100,6 +100,13 @@ def test_a_vehicle_that_does_not_answer_is_silent_until_it_does():
     assert (failure.kind, failure.vehicle) == (FailureKind.SILENT, 1)
     assert failure.message == "vehicle 2 has not answered for 0.7 s: it may not receive"
     assert links.detect(seen(asked_at=asked - 1.0), expected()) == []
+    unheard = np.array([10.0, 9.4, 10.0])
+    assert (
+        LinkDetector(LIMITS, Latch()).detect(
+            seen(asked_at=np.array([np.inf, 9.41, np.inf]), heard_at=unheard), expected()
+        )
+        == []
+    )
     (recovery,) = links.detect(seen(), expected())
     assert (recovery.kinds >= {FailureKind.SILENT}, recovery.vehicle) == (True, 1)
 
