@@ -12,6 +12,7 @@ move by G relative to each other; M·span is tabulated. It is much smaller near 
 elsewhere.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -20,7 +21,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from swarm.geometry.catenary import Catenaries, solve_catenaries
+from swarm.geometry.catenary import Catenaries
 from swarm.geometry.catenary_kernel import Catenary, max_elevation_sine, min_elevation_sine
 from swarm.geometry.sensitivity import (
     BOTH_ENDS,
@@ -28,7 +29,10 @@ from swarm.geometry.sensitivity import (
     LARGEST_RATIO,
     EndMovement,
     find_class,
+    response_between,
+    share_of,
 )
+from swarm.geometry.shape_tables import Nodes, bounds_over_cells, nodes_of
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats2, Floats3, Ints1
 
@@ -36,8 +40,6 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 Numbers = TypeVar("Numbers", float, Floats)
 
-_INFLATION = 1.1
-"""Covers second derivatives between the samples of elevation and direction; the tests check it."""
 _BANDS = np.array([0.0, 20.0, 40.0, 60.0, 70.0, 76.0, 80.0, 84.0, 88.0])
 """Bands of chord elevation, in degrees; narrow where second derivatives grow, near the vertical."""
 _SINES = np.sin(np.radians(_BANDS[1:]))
@@ -49,6 +51,21 @@ _PARTS = 16
 """Parts of a strand with a table entry each."""
 _SHORTEST_SPAN = 0.05
 """Share of the length below which a span is too short for the table."""
+_TURNED, _TILTED = np.radians(10.0), np.radians(15.0)
+"""Steps between directions: smaller ones would change the table by 5 % at most."""
+_DIRECTIONS = np.array(
+    [
+        (math.cos(tilt) * math.cos(turn), math.cos(tilt) * math.sin(turn), math.sin(tilt))
+        for tilt in np.arange(0.0, 0.5 * np.pi + 1e-9, _TILTED)
+        for turn in np.arange(0.0, np.pi - 1e-9, _TURNED)
+    ]
+)
+"""Directions of movement along the heading, upward and across. Opposite ones, and those mirrored in
+the strand's plane, bend it alike."""
+_BETWEEN_DIRECTIONS = 0.5 * math.hypot(_TURNED, _TILTED)
+"""Largest angle η between any direction and these. In the worst direction d, the second derivative
+along itself is M w, and mixed ones have no part along w; so in the nearest of these directions
+it is at least M (cos² η − sin² η) = M cos 2η."""
 DEGENERATE = 1e-12
 """Determinant of K(ℓ) below which the response is not computed."""
 _COLUMNS = float(_BINS / np.log1p(-LARGEST_RATIO))
@@ -274,31 +291,82 @@ def _largest(parts: Floats, begin: float, end: float) -> float:
 def curvature_table() -> Floats:
     """Return the largest second derivative times span up to a bin's ratio: (band, bin, part).
 
-    Bands are of elevations; parts of a strand are counted from the lower end, and each includes its
-    neighbours. By central differences over fractions and directions, for strands of length 1.
+    Bands are of elevations; parts of a strand are counted from the lower end.
     """
-    upper = -np.expm1(np.log1p(-LARGEST_RATIO) * np.arange(1, _BINS + 1) / _BINS)
-    degrees = np.concatenate([np.arange(0.0, 60.0, 4.0), np.arange(60.0, 89.0, 2.0)])
-    ratio, steep = np.meshgrid(upper, np.radians(degrees), indexing="ij")
-    end = np.stack([ratio * np.cos(steep), 0.0 * ratio, ratio * np.sin(steep)], axis=-1)
-    angle = np.linspace(0.0, np.pi, 12, endpoint=False)
-    in_plane = np.stack([np.cos(angle), 0.0 * angle, np.sin(angle)], axis=-1)
-    sideways = [[0.0, 1.0, 0.0], [0.7071, 0.7071, 0.0], [0.0, 0.7071, 0.7071]]
-    directions = np.concatenate([in_plane, sideways])
-    step = 1e-3 * np.minimum(1.0 - ratio, np.minimum(0.3, ratio * np.cos(steep)))[..., None]
-    fractions = np.linspace(0.0, 1.0, 4 * _PARTS + 1)
-    largest = np.zeros((*ratio.shape, len(fractions)))
-    still = solve_catenaries(np.zeros(3), end, 1.0).points(fractions)
-    for direction in directions:
-        ahead = solve_catenaries(np.zeros(3), end + step * direction, 1.0).points(fractions)
-        back = solve_catenaries(np.zeros(3), end - step * direction, 1.0).points(fractions)
-        second = (ahead - 2.0 * still + back) / step[..., None] ** 2
-        largest = np.maximum(largest, np.linalg.norm(second, axis=-1))
-    around = np.pad(largest, ((0, 0), (0, 0), (2, 2)))
-    parts = np.lib.stride_tricks.sliding_window_view(around, 9, axis=-1)[..., ::4, :].max(axis=-1)
-    scaled = np.maximum.accumulate(_INFLATION * parts * end[..., :1], axis=0)
-    bands = [
-        scaled[:, (low <= degrees) & (degrees <= high)].max(axis=1)
-        for low, high in pairwise(_BANDS)
-    ]
+    edges = -np.expm1(np.log1p(-LARGEST_RATIO) * np.arange(1, _BINS + 1) / _BINS)
+    below = _SHORTEST_SPAN * np.array([1.0, 1.4, 2.0])
+    slopes = np.tan(
+        np.radians(np.concatenate([np.arange(0.0, 60.0, 5.0), np.arange(60.0, 89.0, 2.0)]))
+    )
+    nodes = nodes_of(np.concatenate([below, edges]), np.arcsinh(slopes), 6 * _PARTS)
+    second = np.empty(nodes.angle.shape)
+    _write_second(nodes, _DIRECTIONS, second)
+    cells = bounds_over_cells(nodes, second / np.cos(2.0 * _BETWEEN_DIRECTIONS), _PARTS)
+    # Shorter spans are not looked up.
+    widest = nodes.ratio[1:, None] / np.cosh(nodes.steepness[:-1])
+    cells[widest < _SHORTEST_SPAN] = 0.0
+    cells = np.maximum.accumulate(cells, axis=0)[len(below) - 1 :]
+    at = np.degrees(np.arctan(slopes))[:-1] + 1e-6  # a band begins at a node
+    bands = [cells[:, (low < at) & (at < high)].max(axis=1) for low, high in pairwise(_BANDS)]
     return np.stack(bands)
+
+
+@compiled
+def _write_second(nodes: Nodes, directions: Floats2, found: Floats3) -> None:
+    """Write |∂²x/∂p²(d, d)| times span at all nodes, the largest of unit directions d (k, 3).
+
+    With the end force F = (H, V) over the weight of a metre, x(s) = ∫ τ(F + V s′) ds′ and
+    ∂x/∂F = K(s). Its second derivative along δ = K(ℓ)⁻¹ d is the integral Q(s) of
+    −(2 (τ·δ) Pδ + |Pδ|² τ) / T², P = 1 − τ τᵀ, so that ∂²x/∂p²(d, d) = Q(s) − B(s) Q(ℓ).
+    Directions are along the heading, upward and across.
+    """
+    for i in range(nodes.angle.shape[0]):
+        for j in range(nodes.angle.shape[1]):
+            angle = nodes.angle[i, j]
+            first, turned = angle[0], angle[-1] - angle[0]
+            response = response_between(first, angle[-1])
+            bent, level, cross = response
+            determinant = bent * level - cross * cross
+            whole = _curving(first, angle[-1])
+            for k in range(len(angle)):
+                xx, xz, zx, zz = share_of(response_between(first, angle[k]), response)
+                share = (angle[k] - first) / turned
+                part = _curving(first, angle[k])
+                largest = 0.0
+                for d in range(len(directions)):
+                    ahead, up = directions[d, 0], directions[d, 1]
+                    pulled = (level * ahead - cross * up) / determinant
+                    raised = (bent * up - cross * ahead) / determinant
+                    aside = directions[d, 2] / turned
+                    x, z, y = _curved(part, pulled, raised, aside)
+                    whole_x, whole_z, whole_y = _curved(whole, pulled, raised, aside)
+                    x -= xx * whole_x + xz * whole_z
+                    z -= zx * whole_x + zz * whole_z
+                    y -= share * whole_y
+                    largest = max(largest, x * x + y * y + z * z)
+                found[i, j, k] = turned * math.sqrt(largest)
+
+
+@inner
+def _curving(first: float, last: float) -> tuple[float, float, float, float, float, float]:
+    """Return ∫ sech⁴, sech³ tanh, sech² tanh², sech tanh³, sech² and sech tanh between angles."""
+    low, high = 1.0 / np.cosh(first), 1.0 / np.cosh(last)
+    rise, drop = np.tanh(first), np.tanh(last)
+    _, level, cross = response_between(first, last)
+    cubes = level * (rise * rise + rise * drop + drop * drop) / 3.0
+    other = cross * (low * low + low * high + high * high) / 3.0
+    return level - cubes, -other, cubes, other - cross, level, -cross
+
+
+@inner
+def _curved(
+    integrals: tuple[float, float, float, float, float, float], p: float, q: float, aside: float
+) -> tuple[float, float, float]:
+    """Return Q along the heading, upward and across, for a change (p, q, aside) of the force."""
+    flat, flat_up, level_up, up, level, cross = integrals
+    across = aside * aside
+    x = level_up * (3.0 * p * p - 2.0 * q * q) + (2.0 * up - 4.0 * flat_up) * p * q
+    z = flat_up * (3.0 * q * q - 2.0 * p * p) + (2.0 * flat - 4.0 * level_up) * p * q
+    x += flat * q * q + level * across
+    z += up * p * p + cross * across
+    return -x, -z, -2.0 * aside * (p * level + q * cross)

@@ -10,14 +10,15 @@ steeper, and its integral over ρ. Horizontal and vertical movement have separat
 strand that gets tauter rises.
 """
 
+import math
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.catenary_kernel import max_elevation_sine
+from swarm.geometry.shape_tables import Nodes, bounds_over_cells, nodes_of
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats5, Ints1
 
@@ -40,14 +41,19 @@ _FIRST_BINS = np.searchsorted(_RATIOS, np.arange(4096) / 4096, side="right") - 1
 _CLASSES = np.radians([20.0, 40.0, 60.0, 70.0, 80.0, 90.0])
 """Upper ends of the classes of chord elevation; narrow near the vertical, where norms grow."""
 _SINES = np.sin(_CLASSES[:-1])
-_OVERLAP = 0.08
-"""Radians beyond a class whose samples count for it: more than the distance of two samples."""
+_STEEPNESS = np.concatenate([
+    np.arcsinh(np.tan(np.radians(np.arange(0.0, 90.0, 5.0)))),
+    [3.8, 4.7, 6.3, 8.0, 9.5, 11.0, 13.0, 16.0, 20.0, 26.0, 35.0, 50.0, 75.0, 120.0, 185.0],
+])  # fmt: skip
+"""Steepness of the nodes: elevations up to 85°, and up to a span of :data:`.VERTICAL`."""
+_POINTS = 160
+"""Steps of the nodes along a strand, two and a half for each of the smallest pieces."""
+_NEARLY_ONE_PLACE = np.array([1e-12, 1e-10, 1e-8, 1e-6, 1e-5, 1e-4, 1e-3, 3e-3, 0.01, 0.02])
+"""Ratios of nodes below the upper end of the first bin. Nearer ends hang as one."""
 _DEPTH = 6
 """Halvings of a strand: the smallest pieces are a 64th of it."""
 FINEST = 2**_DEPTH
 """Number of the smallest pieces, and the heap number of the first one."""
-_INFLATION = 1.02
-"""Covers elevations between the samples; the tests check it adversarially."""
 
 
 class EndMovement(NamedTuple):
@@ -235,79 +241,84 @@ def _bin(ratio: float) -> int:
 
 @cache
 def sensitivity_tables() -> Sensitivity:
-    """Return the tables; computed once, in about 0.2 s."""
+    """Return the tables; computed once, in about half a second."""
     bins = _bin(LARGEST_RATIO + 1e-9) + 1
-    upper = -np.expm1(-_STEP * np.arange(1, bins + 1))
-    nearly_vertical = [89.0, 89.8, 89.96, 89.99, 89.999]
-    elevation = np.radians(np.concatenate([np.arange(0.0, 90.0, 4.0), nearly_vertical]))
-    fractions = np.linspace(0.0, 1.0, 2**_DEPTH + 1)
-    start, end = _jacobian_norms(upper[:, None], elevation[None, :], fractions)
+    edges = -np.expm1(-_STEP * np.arange(1, bins + 1))
+    nodes = nodes_of(np.concatenate([_NEARLY_ONE_PLACE, edges]), _STEEPNESS, _POINTS)
+    norms = np.empty((2, 2, *nodes.angle.shape))
+    _write_norms(nodes, norms)
+
+    def bounds(figure: Floats) -> Floats:
+        return bounds_over_cells(nodes, figure, FINEST)
+
+    start, end, both = (
+        np.stack([bounds(figure) for figure in (*norms[:, 0], *norms[:, 1], *norms.sum(axis=1))])
+        .reshape(3, 2, len(nodes.ratio) - 1, len(nodes.steepness) - 1, FINEST)
+    )  # fmt: skip
     # A descending chord is the same strand from its other end.
-    both = start + end
-    far = np.maximum(end, start[..., ::-1])
     both = np.maximum(both, both[..., ::-1])
-    kinds = np.stack([both, far, far[..., ::-1]])  # (kind, direction, bin, elevation, fraction)
-    kinds = np.maximum.accumulate(kinds, axis=2) * _INFLATION
-    by_class = np.stack(
-        [kinds[:, :, :, elevation <= steepest + _OVERLAP].max(axis=3) for steepest in _CLASSES]
-    )
+    far = np.maximum(end, start[..., ::-1])
+    kinds = np.maximum.accumulate(np.stack([both, far, far[..., ::-1]]), axis=2)
+    kinds = kinds[:, :, len(_NEARLY_ONE_PLACE) - 1 :]  # (kind, direction, bin, steepness, piece)
+    most = np.append(np.arcsinh(np.tan(_CLASSES[:-1])), np.inf) - 1e-9  # a class begins at a node
+    by_class = np.stack([kinds[..., _STEEPNESS[:-1] < each, :].max(axis=3) for each in most])
     norm = _over_pieces(by_class)
-    width = np.diff(np.concatenate([[0.0], upper]))
+    width = np.diff(np.concatenate([[0.0], edges]))
     integral = np.zeros_like(norm)
     integral[..., 1:, :] = np.cumsum(norm * width[:, None], axis=-2)[..., :-1, :]
     columns = [table[:, :, direction] for direction in (0, 1) for table in (norm, integral)]
     return Sensitivity(np.ascontiguousarray(np.stack(columns, axis=-1).swapaxes(2, 3)))
 
 
-def _over_pieces(by_fraction: Floats) -> Floats:
-    """Return the largest value over every dyadic piece and its neighbours, in heap order."""
-    cells = np.maximum(by_fraction[..., :-1], by_fraction[..., 1:])
-    wider = cells.copy()
-    wider[..., 1:] = np.maximum(wider[..., 1:], cells[..., :-1])
-    wider[..., :-1] = np.maximum(wider[..., :-1], cells[..., 1:])
-    count = wider.shape[-1]
-    heap = np.zeros((*wider.shape[:-1], 2 * count))
-    heap[..., count:] = wider
+def _over_pieces(finest: Floats) -> Floats:
+    """Return the largest value over every dyadic piece, in heap order, from the finest ones."""
+    count = finest.shape[-1]
+    heap = np.zeros((*finest.shape[:-1], 2 * count))
+    heap[..., count:] = finest
     for piece in range(count - 1, 0, -1):
         heap[..., piece] = np.maximum(heap[..., 2 * piece], heap[..., 2 * piece + 1])
     return heap
 
 
-def _jacobian_norms(ratio: Floats, elevation: Floats, fractions: Floats) -> tuple[Floats, Floats]:
-    """Return the norms of A and B, each (2, …, k): of the horizontal rows and of the vertical one.
+@compiled
+def _write_norms(nodes: Nodes, norms: Floats5) -> None:
+    """Write the norms of A and B at all nodes: of the horizontal rows and of the vertical one.
 
-    The strand has length 1 and parameters (a, s), a the catenary's, s = sinh θ₀ the slope at its
-    start: sinh θ = s + f/a, x = a(θ − θ₀), z = a(cosh θ − cosh θ₀). Both x(f) and the end x(1) are
-    differentiated by (a, s), and B = ∂x(f) (∂x(1))⁻¹ in the strand's plane. Across it, both turn
-    about the start: B = x(f) / x(1).
+    ``norms`` has the axes (direction, end, ratio, elevation, point). In the strand's plane
+    B = K(s) K(ℓ)⁻¹ (:mod:`.linear_response`); across it, both turn about the start.
     """
-    ratio, elevation = np.broadcast_arrays(ratio, elevation)
-    end = np.stack(
-        [ratio * np.cos(elevation), np.zeros_like(ratio), ratio * np.sin(elevation)], axis=-1
-    )
-    strand = solve_catenaries(np.zeros(3), end, np.ones_like(ratio))
-    a, slope = strand.parameter[..., None], strand.slope[..., None]
-    first, last = np.arcsinh(slope), np.arcsinh(slope + 1.0 / a)
-    turned = np.arcsinh(slope + fractions / a)
+    for i in range(nodes.angle.shape[0]):
+        for j in range(nodes.angle.shape[1]):
+            angle = nodes.angle[i, j]
+            whole = response_between(angle[0], angle[-1])
+            for k in range(len(angle)):
+                xx, xz, zx, zz = share_of(response_between(angle[0], angle[k]), whole)
+                across = (angle[k] - angle[0]) / (angle[-1] - angle[0])
+                norms[0, 0, i, j, k] = max(math.hypot(1.0 - xx, xz), 1.0 - across)
+                norms[1, 0, i, j, k] = math.hypot(zx, 1.0 - zz)
+                norms[0, 1, i, j, k] = max(math.hypot(xx, xz), across)
+                norms[1, 1, i, j, k] = math.hypot(zx, zz)
 
-    def by_parameters(theta: Floats, fraction: npt.ArrayLike) -> tuple[Floats, ...]:
-        share = np.asarray(fraction) / a
-        return (
-            (theta - first) - share / np.cosh(theta),
-            a * (1.0 / np.cosh(theta) - 1.0 / np.cosh(first)),
-            np.cosh(theta) - np.cosh(first) - np.tanh(theta) * share,
-            a * (np.tanh(theta) - np.tanh(first)),
-        )
 
-    x_a, x_s, z_a, z_s = by_parameters(turned, fractions)
-    w_a, w_s, v_a, v_s = by_parameters(last, 1.0)
-    determinant = w_a * v_s - w_s * v_a
-    b_xw, b_xv = (x_a * v_s - x_s * v_a) / determinant, (x_s * w_a - x_a * w_s) / determinant
-    b_zw, b_zv = (z_a * v_s - z_s * v_a) / determinant, (z_s * w_a - z_a * w_s) / determinant
-    across = (turned - first) / (last - first)
+@inner
+def share_of(
+    part: tuple[float, float, float], whole: tuple[float, float, float]
+) -> tuple[float, float, float, float]:
+    """Return B = K(s) K(ℓ)⁻¹ by rows, from K of the part up to s and of the whole strand."""
+    bent, level, cross = whole
+    determinant = bent * level - cross * cross
     return (
-        np.stack(
-            [np.maximum(np.hypot(1.0 - b_xw, b_xv), 1.0 - across), np.hypot(b_zw, 1.0 - b_zv)]
-        ),
-        np.stack([np.maximum(np.hypot(b_xw, b_xv), across), np.hypot(b_zw, b_zv)]),
+        (part[0] * level - part[2] * cross) / determinant,
+        (part[2] * bent - part[0] * cross) / determinant,
+        (part[2] * level - part[1] * cross) / determinant,
+        (part[1] * bent - part[2] * cross) / determinant,
     )
+
+
+@inner
+def response_between(first: float, last: float) -> tuple[float, float, float]:
+    """Return K₁₁, K₂₂ and K₁₂ of the part of a strand between two angles, without cancellation."""
+    turned, inverse = last - first, 1.0 / (np.cosh(first) * np.cosh(last))
+    level = np.sinh(turned) * inverse
+    cross = -2.0 * np.sinh(0.5 * (last + first)) * np.sinh(0.5 * turned) * inverse
+    return turned - level, level, cross
