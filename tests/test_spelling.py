@@ -77,6 +77,10 @@ def test_two_purposes_at_once_are_refused():
         ),
         (["dry-run", HOVER, "--scenario", "s"], "--scenario needs --trial"),
         (
+            ["dry-run", HOVER, "--scenario", "s", "--trial", "0", "--no-cable"],
+            "--no-cable and --trial do not go together",
+        ),
+        (
             ["dry-run", HOVER, "--cable", "static", "--no-cable"],
             "--cable and --no-cable do not go together",
         ),

@@ -17,7 +17,9 @@ from swarm.errors import InputError, Refused, SwarmError
 from swarm.flight.setup import Options
 from swarm.front.trials import TrialSeries, fly_series
 from swarm.ground.fly import fly
+from swarm.mission import parse_mission
 from swarm.mission.fleet import emulated_fleet
+from swarm.planning.candidates import make_plan
 from swarm.reports.trials_text import print_trials
 from swarm.simulation.monte_carlo import (
     CertifiedClearances,
@@ -42,6 +44,7 @@ from tests.shared import shared
 FLIGHT_PLAN = small_plan(vehicles=4)
 PLAN = FLIGHT_PLAN.plan
 FLEET = emulated_fleet(4)
+HOVER = "{schema: 1, name: hover, formation: {places: [[[0, 0, 3]], [[2, 0, 3]]]}}"
 CALM = Spread(wind=0, gust=0, loss=0, latency=0, jitter=0, mass=0, grip=0, length=0, failing=0)
 
 
@@ -100,6 +103,12 @@ def test_a_trial_measures_the_true_positions():
     assert one.cable is not None
     assert one.emulated_cable == pytest.approx(one.cable, abs=0.1)
     assert one.rotor_strikes == one.collisions == one.crashes == 0
+
+
+def test_a_trial_without_cable_is_completed_as_planned():
+    plan = make_plan(parse_mission(HOVER, "hover.yaml"))
+    one, _ = fly_trial(CertifiedPlan(plan, certify(plan)), CALM, 1, 0)
+    assert (one.outcome, one.reason, one.knot, one.as_planned) == ("done", "", "0_1", True)
 
 
 def test_trials_in_processes_are_the_trials_flown_alone():

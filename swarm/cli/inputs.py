@@ -97,7 +97,11 @@ def refuse_option_conflicts(
     excludes: Sequence[tuple[str, str]],
 ) -> None:
     """Raise :class:`InputError` for options without a required one, and for pairs that exclude."""
-    given = {name for name, value in options.items() if value not in (None, False, ())}
+    given = {
+        name
+        for name, value in options.items()
+        if value is not None and value is not False and value != ()  # a trial 0 equals False
+    }
     problems = [
         f"{_option(name)} needs {' or '.join(map(_option, required))}"
         for name, required in requires.items()

@@ -213,7 +213,7 @@ def _trial_result(
         measured["tracking_error"] = float(np.linalg.norm(position - setpoint, axis=-1).max())
         strands = [sample.strands for sample in samples if sample.strands is not None]
         measured["emulated_cable"] = _smallest_distance(plan, strands)
-        if samples[-1].strands is None:
+        if samples[-1].strands is None and len(plan.layout.lengths):
             knot, as_planned = "released", False
     if not reason and not as_planned:
         reason = f"knot: {knot}"
