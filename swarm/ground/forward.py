@@ -60,6 +60,6 @@ def open_forward(url: str, team: Team) -> Forward:
         opened = socket.socket(family, kind)
         opened.setblocking(False)
         opened.connect(target)
-    except OSError as error:
+    except (OSError, UnicodeError) as error:  # the latter for no name of a host
         raise VehicleError(f"--forward {url} cannot be opened: {reason(error)}") from None
     return Forward(team, opened)

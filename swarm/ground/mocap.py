@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 
 from pymavlink.dialects.v20 import common
 
-from swarm.errors import VehicleError
+from swarm.errors import VehicleError, reason
 from swarm.flight.router import Outgoing, Team
 from swarm.ground.child_process import ChildError, ChildProcess
 from swarm.mavlink.frames import Origin
@@ -76,10 +76,10 @@ class DatagramCapture:
         self._socket.setblocking(False)
         try:
             self._socket.bind((host, port))
-        except OSError as error:
+        except (OSError, UnicodeError) as error:  # the latter for no name of a host
             self._socket.close()
             raise VehicleError(
-                f"motion capture: cannot listen on {host}:{port}: {error.strerror or error}"
+                f"motion capture: cannot listen on {host}:{port}: {reason(error)}"
             ) from None
 
     @property

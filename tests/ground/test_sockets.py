@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import common
 from swarm.errors import VehicleError
 from swarm.flight.fleet_listener import FleetListener
 from swarm.flight.router import Outgoing
+from swarm.ground.forward import open_forward
 from swarm.ground.sockets import open_links
 from swarm.mavlink.packets import Decoder, Encoder
 from swarm.mission.fleet import parse_fleet
@@ -102,6 +103,8 @@ def test_an_unknown_host_is_named_in_words(host):
     with pytest.raises(VehicleError, match=rf"link net \(udpout://{host}:14550\) cannot") as error:
         open_links({"net": f"udpout://{host}:14550"})
     assert "unknown error" not in str(error.value)
+    with pytest.raises(VehicleError, match=rf"--forward udp://{host}:14550 cannot be opened: "):
+        open_forward(f"udp://{host}:14550", None)
 
 
 def test_a_missing_port_is_named():
