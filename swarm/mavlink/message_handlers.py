@@ -165,7 +165,8 @@ def _attitude(vehicle: VehicleState, message: Message, _now: float) -> None:
 
 
 def _global_origin(vehicle: VehicleState, message: Message, _now: float) -> None:
-    if not vehicle.believes("origin", message):
+    # messages with different sequence numbers are never equal
+    if not vehicle.believes("origin", (message.latitude, message.longitude, message.altitude)):
         return
     origin = Origin(message.latitude * 1e-7, message.longitude * 1e-7, message.altitude * 1e-3)
     if vehicle.origin is not None and _distance(origin, vehicle.origin) > _ORIGIN_MOVED:

@@ -426,6 +426,16 @@ def test_a_late_copy_of_an_answer_does_not_acknowledge_the_next_command():
     assert wire.vehicle.commands.contains("release")
 
 
+def test_an_origin_that_is_repeated_is_believed_where_packets_are_missing():
+    """It is requested once a second: on a lossy link a flight must not wait for a lucky one."""
+    wire = Wire()
+    wire(heartbeat())
+    for known in (False, True):
+        wire.lose(1)
+        wire(common.MAVLink_gps_global_origin_message(470_000_000, 85_000_000, 400_000, 0))
+        assert (wire.vehicle.origin is not None) == known
+
+
 def test_a_moved_origin_is_reported_but_rounding_is_not():
     wire = Wire()
 
