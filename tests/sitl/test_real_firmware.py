@@ -20,6 +20,9 @@ GUIDED = 4
 HEIGHT = 2.0
 LONGEST = 120.0
 """Seconds of the vehicle's time until it must hover: its estimator takes 40 to 60 s."""
+BOOT = 5.0
+"""Without a radio it waits 2 s for one as it starts; a command to arm before its receiver has
+started ends it (`AP_GPS::pre_arm_checks`)."""
 
 pytestmark = pytest.mark.skipif(
     PROGRAM is None, reason="SWARM_ARDUCOPTER names no ArduCopter built for SITL"
@@ -59,7 +62,8 @@ def _fly(emulator, exchange, ground):
                         _command(ground, peer, pilot, 22, HEIGHT)
         except BlockingIOError:
             pass
-        if peer is not None and math.isinf(armed_at) and round(emulator.time / STEP) % 100 == 0:
+        due = emulator.time > BOOT and round(emulator.time / STEP) % 100 == 0
+        if due and peer is not None and math.isinf(armed_at):
             ground.sendto(pilot.set_mode_encode(1, 1, GUIDED).pack(pilot), peer)
             _command(ground, peer, pilot, 400, 0.0, first=1.0)
     assert not math.isinf(armed_at), "it did not arm"
