@@ -104,7 +104,8 @@ class Identities:
         message = packet.message
         if message is None:
             return
-        if packet.number == _HEARTBEAT and (kind := flying_autopilot(message)) is not None:
+        beat = packet.number == _HEARTBEAT
+        if beat and (kind := flying_autopilot(packet.component, message)) is not None:
             self._place(packet.system, link, address, trusted=False).autopilots.add(kind.name)
         place = self._places.get(packet.system, {}).get((link, address))
         if place is None:

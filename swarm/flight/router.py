@@ -242,7 +242,7 @@ class Team:
         self, system: int, link: str, address: Address | None, component: int, message: Message
     ) -> None:
         """Note the sender of a heartbeat from a vehicle's address."""
-        kind = flying_autopilot(message)
+        kind = flying_autopilot(component, message)
         if kind is not None:
             self._identities.heartbeat(system, link, address, component, kind.name)
         elif component != self.vehicles[system].component:
@@ -261,7 +261,7 @@ class Team:
         ways = self._ways[sysid]
         known = ways.get(route.link)
         beat = packet.number == _HEARTBEAT and packet.message is not None
-        kind = flying_autopilot(packet.message) if beat else None
+        kind = flying_autopilot(packet.component, packet.message) if beat else None
         if kind is None and packet.component != vehicle.component:
             if beat:
                 self._aboard(sysid, route.link, packet.component)

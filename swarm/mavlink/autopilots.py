@@ -120,10 +120,11 @@ ARDUPILOT = Autopilot(
 AUTOPILOTS: Mapping[int, Autopilot] = {kind.identifier: kind for kind in (PX4, ARDUPILOT)}
 
 
-def flying_autopilot(heartbeat: Any) -> Autopilot | None:
+def flying_autopilot(component: int, heartbeat: Any) -> Autopilot | None:
     """Return the autopilot that sends a HEARTBEAT for its rotorcraft; None for anything else.
 
     Cameras, gimbals, companion computers and ADS-B receivers on board have the same system id, and
-    some name an autopilot.
+    some name an autopilot. Component 0 stands for all: no sender has it.
     """
-    return AUTOPILOTS.get(heartbeat.autopilot) if heartbeat.type in _ROTORCRAFT else None
+    flies = component != 0 and heartbeat.type in _ROTORCRAFT
+    return AUTOPILOTS.get(heartbeat.autopilot) if flies else None

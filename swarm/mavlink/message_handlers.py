@@ -13,6 +13,7 @@ from swarm.mavlink.packets import CURRENT_MODE, PARAM_VALUE, Message
 from swarm.mavlink.telemetry_table import (
     ATTITUDE_TIME,
     BOOT_TIME,
+    DIRECT,
     GLOBAL_TIME,
     LATE,
     follows,
@@ -45,7 +46,7 @@ _LOST_CHUNKS = "[…]".encode()
 
 
 def _heartbeat(vehicle: VehicleState, message: Message, now: float) -> None:
-    kind = flying_autopilot(message)
+    kind = flying_autopilot(vehicle.component, message)
     if kind is None:
         return
     vehicle.autopilot = vehicle.autopilot or kind
@@ -111,8 +112,9 @@ def _global_position(vehicle: VehicleState, message: Message, now: float) -> Non
 
 
 def _gps(vehicle: VehicleState, message: Message, now: float) -> None:
-    if not vehicle.believes("fix", message.fix_type):
+    if vehicle.order != DIRECT and message.time_usec <= vehicle.gps_time:
         return
+    vehicle.gps_time = message.time_usec
     vehicle.fix_type, vehicle.satellites = message.fix_type, message.satellites_visible
     vehicle.horizontal_accuracy = message.h_acc * 1e-3 if message.h_acc else math.nan
     vehicle.vertical_accuracy = message.v_acc * 1e-3 if message.v_acc else math.nan

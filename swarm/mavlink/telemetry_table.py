@@ -29,9 +29,9 @@ the autopilot's component; then what changes rarely, but is observed at every ti
 of the attitude and the global position, the smallest difference of clocks, the order of packets,
 and when an unanswered clock request was sent."""
 
-_CLOCK_RANGE, _LONGEST_STEP = 2.0**32, 3.6e6
-"""Milliseconds: a boot time begins again at zero after 49.7 days; a step of an hour is no step of
-one clock."""
+_CLOCK_RANGE, _LONGEST_STEP = 2.0**32, 86.4e6
+"""Milliseconds: a boot time begins again at zero after 49.7 days; a step of a day is no step of
+one clock, between packets of a flight."""
 _OUTDATED = 500.0
 """Milliseconds by which a packet is later than its neighbours where a buffer or a second path held
 it back; packets that overtake each other are closer."""

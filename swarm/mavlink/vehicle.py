@@ -77,7 +77,7 @@ class Vehicle(VehicleState):
         """
         first = self.heartbeat_at == -math.inf
         preferred = component == common.MAV_COMP_ID_AUTOPILOT1 and not self.armed
-        if (first or preferred) and flying_autopilot(heartbeat) is not None:
+        if (first or preferred) and flying_autopilot(component, heartbeat) is not None:
             self.component = self.commands.component = component
 
     def note_clock_request(self, now: float) -> None:

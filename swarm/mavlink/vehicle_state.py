@@ -109,6 +109,7 @@ class VehicleState:
     voltage: float = math.nan
     ready: bool | None = None
     satellites: int = -1
+    gps_time: int = -1
     horizontal_accuracy: float = math.nan
     height_average: Vector = (math.nan, math.nan, math.nan)
     round_trip: float = math.nan

@@ -145,7 +145,7 @@ def said_by(component: int, kind: int, autopilot: int, clones: bool = False) -> 
 @pytest.mark.parametrize("apart", [False, True])
 @pytest.mark.parametrize(
     ("component", "kind", "autopilot"),
-    [(100, 30, 0), (154, 26, 3), (191, 18, 12), (1, 30, 8), (0, 2, 8)],
+    [(100, 30, 0), (154, 26, 3), (191, 18, 12), (1, 30, 8), (0, 2, 12)],
 )
 def test_a_device_that_is_received_first_is_no_vehicle(component, kind, autopilot, apart):
     assert said_by(component, kind, autopilot, clones=apart) == []
