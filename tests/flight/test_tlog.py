@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import common
 
 from swarm.errors import InputError
 from swarm.flight.tlog import ClockEncoder, measurement_times, packets, replay
@@ -79,6 +80,23 @@ def test_positions_setpoints_clock_and_phases_come_back(flown):
         clock = np.interp(at, again.trace.time, again.trace.mission_time)
         assert np.abs(clock - known.mission_time[then]).max() < 0.1
     assert list(dict.fromkeys(again.trace.phase))[-2:] == ["finish", "land"]
+
+
+def test_what_others_aboard_say_is_not_replayed_as_the_vehicles(flown):
+    data, _, fleet = flown
+    alone = [(now - BEGAN, packet) for now, packet in packets(data)]
+    said = (
+        common.MAVLink_local_position_ned_message(4_000_000, 9, 9, 9, 9, 9, 9),
+        common.MAVLink_command_ack_message(400, 4, 0, 0, 255, 190),
+    )
+    entries = []
+    for now, packet in alone:
+        camera = common.MAVLink(None, packet[5], 100)
+        entries.append((now, packet))
+        entries += [(now, one.pack(camera)) for one in said if packet[5] in {1, 2, 3}]
+    plain, loud = (replay(as_tlog(one), PLAN.plan, fleet) for one in (alone, entries))
+    np.testing.assert_array_equal(plain.trace.position, loud.trace.position)
+    assert (plain.commands, plain.received, plain.lost) == (loud.commands, loud.received, loud.lost)
 
 
 def test_reports_that_are_read_late_stand_at_the_time_of_their_measurement(flown):

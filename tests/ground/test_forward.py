@@ -6,7 +6,10 @@ import pytest
 from pymavlink import mavutil
 
 from swarm.errors import VehicleError
+from swarm.flight.router import Team
 from swarm.ground.forward import open_forward, parse_forward
+from swarm.ground.relay import Relay
+from swarm.mission.fleet import emulated_fleet
 from tests.command import run
 
 HOVER = "missions/first-steps/hover.yaml"
@@ -34,6 +37,26 @@ def test_only_whole_packets_of_the_teams_vehicles_are_sent_on():
         with pytest.raises(BlockingIOError):
             listener.recv(1000)
         forward.close()
+
+
+def test_mavsdk_gets_the_autopilots_packets_only():
+    """It would take a camera's battery for the vehicle's."""
+    fleet = emulated_fleet(1)
+    team = Team(fleet, lambda *_: None)
+    pilot, camera = (mavutil.mavlink.MAVLink(None, 1, component) for component in (1, 100))
+    beat = pilot.heartbeat_encode(2, 12, 0, 0, 4).pack(pilot)
+    status = [
+        one.sys_status_encode(0, 0, 0, 0, 16000, 0, 50, 0, 0, 0, 0, 0, 0).pack(one)
+        for one in (camera, pilot)
+    ]
+    team.receive("loopback", 1, beat, 0.0)
+    relay = Relay(team)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as mavsdk:
+        mavsdk.bind(("127.0.0.1", relay.ports[1]))
+        mavsdk.settimeout(5)
+        relay.from_vehicles("loopback", 1, status[0] + beat + status[1])
+        assert [mavsdk.recv(1000), mavsdk.recv(1000)] == [beat, status[1]]
+    relay.close()
 
 
 def test_a_program_that_does_not_listen_costs_nothing():
