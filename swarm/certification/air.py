@@ -37,17 +37,25 @@ _DENOMINATOR = (2.0, 6.0, 4.0)
 PX4's defaults MPC_Z_P 1, MPC_Z_VEL_P_ACC 4 and MPC_Z_VEL_I_ACC 2 it is s / (s³ + 4s² + 6s + 2)."""
 
 
-def wind_down(plan: Plan, speed: float, heading: float) -> Place:
-    """Return the unit vector of a cable's effective gravity in a steady wind.
+def wind_tilt(plan: Plan, speed: float) -> float:
+    """Return the tilt of a cable's effective gravity in a steady wind: its drag over its weight.
 
-    ``speed`` in m/s blows towards ``heading`` (radians from east to north). The drag is that of
-    strands across the wind, ½ρ·c·d·v² per metre, and so an upper bound for the others.
+    ``speed`` in m/s. The drag is that of strands across the wind, ½ρ·c·d·v² per metre. It is the
+    tangent of the angle to the vertical.
     """
     cable = plan.mission.cable
     drag = 0.5 * AIR_DENSITY * NORMAL_DRAG * cable.diameter * speed * speed
-    weight = cable.mass_per_length * STANDARD_GRAVITY
-    size = math.hypot(drag, weight)
-    return (drag / size * math.cos(heading), drag / size * math.sin(heading), -weight / size)
+    return drag / (cable.mass_per_length * STANDARD_GRAVITY)
+
+
+def wind_down(plan: Plan, speed: float, heading: float) -> Place:
+    """Return the unit vector of a cable's effective gravity in a steady wind.
+
+    ``speed`` in m/s blows towards ``heading`` (radians from east to north).
+    """
+    tilt = wind_tilt(plan, speed)
+    size = math.hypot(tilt, 1.0)
+    return (tilt / size * math.cos(heading), tilt / size * math.sin(heading), -1.0 / size)
 
 
 def induced_speed(mission: Mission) -> float:

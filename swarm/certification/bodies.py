@@ -17,7 +17,7 @@ from swarm.certification.branch_and_bound import (
     Boxes,
     Enclosure,
     EnclosureArrays,
-    same_instant,
+    same_in,
 )
 from swarm.certification.motion_bounds import (
     BoundedMotion,
@@ -31,14 +31,21 @@ from swarm.certification.motion_bounds import (
 from swarm.certification.strand_pieces import (
     CableTables,
     Displacement,
+    Gravity,
     HeldCable,
     HeldStrand,
     Part,
     Piece,
+    gravity_in,
     held_piece,
     held_strand,
+    is_bounded,
+    largest_lean,
     largest_movement,
+    lean,
     piece_movement,
+    point_movement,
+    write_unbounded,
 )
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
 from swarm.geometry.vectors import Vector, difference, dot, moved, size, unit
@@ -98,7 +105,7 @@ class VehicleStrands:
     required: Floats
 
     def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box; coordinates are time and the strand's fraction."""
+        """Enclose the margin in each box; coordinates are time, in wind tilt, and a fraction."""
         found = Enclosure.not_found(boxes)
         kept = _Kept(contiguous(self.pairs), contiguous(self.required), self.diameter)
         _write_margins(self.cable.tables, kept, self.body, boxes.arrays(), found.arrays())
@@ -141,19 +148,26 @@ def _write_margins(
     cable: CableTables, kept: _Kept, body: Body, boxes: BoxArrays, found: EnclosureArrays
 ) -> None:
     """Write the margins of vehicles and pieces of strands in boxes."""
-    known = -1
+    known, k = -1, boxes.middle.shape[1] - 1
     for b in range(len(boxes.group)):
         middle, half = boxes.middle[b], boxes.half[b]
-        if known < 0 or not same_instant(boxes, known, b):
+        if known < 0 or not same_in(boxes, known, b, k):
             known, instant = b, instant_at(cable.motion, middle[0], half[0])
-            grip, held = _held(cable, kept.pairs[boxes.group[b]], instant)
-        piece = held_piece(cable, held, instant, Part(middle[1], half[1], 0.0, 1.0))
+            gravity = gravity_in(cable, middle, half)
+            if is_bounded(gravity):
+                grip, held = _held(cable, kept.pairs[boxes.group[b]], instant, gravity)
+        if not is_bounded(gravity):
+            write_unbounded(gravity, b, found)
+            continue
+        piece = held_piece(cable, held, instant, Part(middle[k], half[k], 0.0, 1.0))
         limits = 0.5 * kept.diameter, kept.required[boxes.group[b]], boxes.enough
-        _write_margin(cable, piece, (grip, body), limits, b, found)
+        _write_margin(cable, piece, (grip, body), limits, gravity, b, found)
 
 
 @inner
-def _held(cable: CableTables, pair: Ints, instant: Instant) -> tuple[Grip, HeldStrand]:
+def _held(
+    cable: CableTables, pair: Ints, instant: Instant, gravity: Gravity
+) -> tuple[Grip, HeldStrand]:
     """Return a vehicle's grip point and a strand, by their numbers (2,), at an instant."""
     vehicle, segment = pair
     grip, ends = grip_at(cable.motion, instant, vehicle), BOTH_ENDS
@@ -164,7 +178,7 @@ def _held(cable: CableTables, pair: Ints, instant: Instant) -> tuple[Grip, HeldS
     tracking = cable.tracking if ends == BOTH_ENDS else 2.0 * cable.tracking
     displacement = Displacement(grip.velocity, ends, tracking, grip.deviation)
     grips = ends_at(cable.motion, instant, segment)
-    return grip, held_strand(cable, segment, grips, instant, displacement)
+    return grip, held_strand(cable, segment, grips, instant, displacement, gravity)
 
 
 @inner
@@ -173,6 +187,7 @@ def _write_margin(
     piece: Piece,
     vehicle: tuple[Grip, Body],
     limits: tuple[float, float, float],
+    gravity: Gravity,
     b: int,
     found: EnclosureArrays,
 ) -> None:
@@ -191,15 +206,21 @@ def _write_margin(
     shift = (0.0 if own else cable.tracking) + radius + required
     swing = piece.swing
     kept_apart = reach - _support(body, normal, tip) - piece.bow - shift - swing.most
-    largest = largest_movement(cable, piece, normal)
-    found.low[b] = kept_apart - largest
+    largest = largest_movement(cable, piece, normal, gravity)
+    found.low[b] = kept_apart - largest - largest_lean(piece, gravity)
     if found.low[b] >= enough:
         return
-    moves = piece_movement(cable, piece, normal, along, largest)
-    low = reach - _support(body, normal, tip) - piece.bow - moves.piece - shift - swing.most
-    high = size(apart) + piece.bow - moves.tracking - shift - swing.least
-    in_time = moves.point - moves.tracking + (swing.most - swing.now)
-    found.doubts[b, 0], found.doubts[b, 1] = in_time, high - low - in_time
+    moves = piece_movement(cable, piece, normal, along, gravity, largest)
+    leans, east, north, along = lean(gravity, moves.leaning)
+    point, calm, by_tracking = point_movement(cable, piece, gravity, moves)
+    low = reach - _support(body, normal, tip) - piece.bow - moves.piece - shift - swing.most - leans
+    high = size(apart) + piece.bow - by_tracking - shift - swing.least
+    in_time, rest = calm - by_tracking + (swing.most - swing.now), 0.0
+    k = found.doubts.shape[1] - 1
+    if k > 1:
+        rest = point - calm
+        found.doubts[b, 1], found.doubts[b, 2] = east + 0.5 * rest, north + 0.5 * rest
+    found.doubts[b, 0], found.doubts[b, k] = in_time, high - low - in_time - (leans - along) - rest
     touching = -radius - required
     # Surfaces are never nearer than touching, also where an over-stretched strand is bounded poorly
     found.low[b], found.high[b] = max(low, min(high, touching)), high

@@ -22,7 +22,8 @@ Flags = npt.NDArray[np.bool_]
 
 CUT = 0.5
 """Share of the largest uncertainty from which a coordinate is cut: coordinates that matter about
-as much are cut in the same round."""
+as much are cut in the same round. Of more than three coordinates, only the worst: all five at
+once would make 32 boxes."""
 
 ROUNDING = 1e-9
 """Seconds by which intervals of time are wider than their boxes: more than the rounding of times up
@@ -79,13 +80,14 @@ class BoxArrays(NamedTuple):
 
 
 @inner
-def same_instant(boxes: BoxArrays, a: int, b: int) -> bool:
-    """Return whether two boxes are of the same group in the same interval of time."""
-    return bool(
-        boxes.group[a] == boxes.group[b]
-        and boxes.middle[a, 0] == boxes.middle[b, 0]
-        and boxes.half[a, 0] == boxes.half[b, 0]
-    )
+def same_in(boxes: BoxArrays, a: int, b: int, coordinates: int) -> bool:
+    """Return whether two boxes of the same group have the same first coordinates."""
+    if boxes.group[a] != boxes.group[b]:
+        return False
+    for k in range(coordinates):
+        if boxes.middle[a, k] != boxes.middle[b, k] or boxes.half[a, k] != boxes.half[b, k]:
+            return False
+    return True
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,12 +137,15 @@ def search(
     undecided: Callable[[Boxes, Enclosure], Flags],
     *,
     relevant: Callable[[Boxes], Flags] | None = None,
-    cut: float = CUT,
+    cut: float | None = None,
 ) -> None:
     """Evaluate boxes and halve the ``undecided`` ones, until none is left.
 
-    ``relevant`` selects the boxes that are evaluated at all (default: all).
+    ``relevant`` selects the boxes that are evaluated at all (default: all); ``cut`` is the share of
+    the largest uncertainty from which a coordinate is cut.
     """
+    if cut is None:
+        cut = CUT if boxes.middle.shape[1] <= 3 else 1.0
     while True:
         if relevant is not None:
             boxes = boxes.taken(relevant(boxes))

@@ -10,6 +10,7 @@ with its model.
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,7 @@ from swarm.certification.air import (
     wind_down,
 )
 from swarm.certification.approaches import PIECES, PairSwing
-from swarm.certification.clearances import STILL_AIR, Moment, Place
+from swarm.certification.clearances import Moment, Place
 from swarm.certification.compared_pairs import all_pairs, exempt_length
 from swarm.certification.excitation import (
     DEVIATIONS,
@@ -41,8 +42,14 @@ from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]
 
+SPEEDS = 0.25, 0.5, 0.75, 1.0
+"""Shares of the steady wind for which its effect is estimated; the largest movement counts."""
+
 DIRECTIONS = 8
 """Headings of wind and of braking, 45° apart; the largest movement of all counts."""
+
+STILL_AIR = (0.0, 0.0, -1.0)
+"""Unit vector of the effective gravity without wind: down, ENU."""
 
 NEARLY_STRAIGHT = 0.9995
 """Largest ratio of chord to length at which strands are drawn: a straight strand has no catenary.
@@ -299,15 +306,18 @@ def _stop(strands: tuple[_Strand, _Strand], braking: float) -> float:
 
 
 def _wind(plan: Plan, strands: tuple[_Strand, _Strand]) -> float:
-    """Both lean in the steady wind, one of them also in the gust; worst direction."""
+    """Both lean in the steady wind, one of them also in the gust; the worst wind up to that.
+
+    Weaker wind may part strands less or more: SPEEDS of it count, in DIRECTIONS.
+    """
     steady, gust = plan.mission.wind.steady, plan.mission.wind.gust
     if steady + gust == 0.0:
         return 0.0
     one, other = strands
     worst = 0.0
-    for k in range(DIRECTIONS):
-        heading = 2.0 * math.pi * k / DIRECTIONS
-        calm, gusty = (wind_down(plan, speed, heading) for speed in (steady, steady + gust))
+    for k, share in product(range(DIRECTIONS), SPEEDS):
+        heading, wind = 2.0 * math.pi * k / DIRECTIONS, share * steady
+        calm, gusty = (wind_down(plan, speed, heading) for speed in (wind, wind + gust))
         worst = max(
             worst,
             abs(one.movement(down=gusty) - other.movement(down=calm)),

@@ -8,7 +8,7 @@ from swarm.certification.clearances import Moment, limits, moments_of, tightest_
 from swarm.certification.findings import Finding, Severity
 from swarm.certification.floor_limits import LYING
 from swarm.certification.motion_bounds import BoundedMotion
-from swarm.certification.robustness import DIRECTIONS, failure_in_wind
+from swarm.certification.robustness import failure_in_wind
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.planning import Plan
 
@@ -141,12 +141,15 @@ def wind_findings(plan: Plan) -> list[Finding]:
     failed = failure_in_wind(plan, steady)
     if failed is None:
         message = (
-            f"{steady:g} m/s of steady wind from each of {DIRECTIONS} directions: freely hanging "
-            "cable keeps every clearance, also from floor and fence"
+            f"in every steady wind up to {steady:g} m/s, from any side, freely hanging cable keeps "
+            "every clearance, also from floor and fence; all strands lean equally, with the drag "
+            "of a strand across the wind"
         )
         return [Finding("info", "wind", message)]
     check, (one, other), time = failed
-    message = f"{steady:g} m/s of steady wind: {check} of {one} and {other} fails (at {time:.2f} s)"
+    message = (
+        f"steady wind up to {steady:g} m/s: {check} of {one} and {other} fails (at {time:.2f} s)"
+    )
     return [Finding("error", "wind", message, time)]
 
 

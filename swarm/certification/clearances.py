@@ -6,7 +6,6 @@ quasi-static cable model, every segment the catenary of its length between its t
 with ``fold.swing`` in metres, in the tube around it, too (:mod:`.tube_radii`).
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
@@ -37,8 +36,8 @@ Flags = npt.NDArray[np.bool_]
 Place = tuple[float, float, float]
 Progress = Callable[[str, float], None]
 
-STILL_AIR = (0.0, 0.0, -1.0)
-"""Unit vector of the effective gravity without wind: down, ENU."""
+STRAND = ((0.0, 1.0),)
+"""Interval of the fractions of a strand."""
 
 LIMIT_TOLERANCE = 1e-4
 """m/s and m/s²; to which the largest speeds and accelerations are computed: a tenth of the last
@@ -92,20 +91,20 @@ def tightest_moments(
     plan: Plan,
     *,
     tracking: float | None = None,
-    down: Place = STILL_AIR,
+    tilt: float = 0.0,
     checks: Sequence[str] | None = None,
     progress: Progress | None = None,
 ) -> tuple[Moment, ...]:
     """Return the tightest moments of each kind of clearance, at most five per kind.
 
-    ``tracking`` replaces the mission's; ``down`` is the unit vector of the effective gravity;
-    ``checks`` selects kinds (default: all).
+    ``tracking`` replaces the mission's; ``tilt`` is the largest one of the effective gravity, in
+    any direction (:func:`.air.wind_tilt`); ``checks`` selects kinds (default: all).
     """
     if tracking is None:
         tracking = plan.mission.vehicles.tracking
     chosen = [
         family
-        for family in families(plan, tracking, down)
+        for family in families(plan, tracking, tilt)
         if checks is None or family.check in checks
     ]
     found: list[Moment] = []
@@ -124,7 +123,7 @@ def violations(plan: Plan, *, swinging: bool = True) -> tuple[Moment, ...]:
     For every pair, the worst moment of every second or less in which it fails, for the repair.
     Without ``swinging``, the cable is quasi-static, with ``fold.swing`` in metres too.
     """
-    every = families(plan, plan.mission.vehicles.tracking, STILL_AIR, swinging=swinging)
+    every = families(plan, plan.mission.vehicles.tracking, swinging=swinging)
     return tuple(chain.from_iterable(side_by_side(_violations, every)))
 
 
@@ -135,13 +134,13 @@ def _violations(family: Family) -> list[Moment]:
     return [_moment(family, int(seconds.group[k]), minima, int(k)) for k in failing]
 
 
-def certified(plan: Plan, *, tracking: float, down: Place = STILL_AIR) -> bool:
-    """Return whether every clearance holds with a tracking radius and effective gravity.
+def certified(plan: Plan, *, tracking: float, tilt: float = 0.0) -> bool:
+    """Return whether every clearance holds with a tracking radius and tilts up to the largest.
 
     Much faster than :func:`tightest_moments`, which measures margins.
     """
     return not cable_spans(plan).problems and all(
-        failing is None for failing in side_by_side(Family.failing, families(plan, tracking, down))
+        failing is None for failing in side_by_side(Family.failing, families(plan, tracking, tilt))
     )
 
 
@@ -171,15 +170,17 @@ def _moment(family: Family, pair: int, minima: Minima, entry: int) -> Moment:
 
 
 def families(
-    plan: Plan, tracking: float, down: Place, *, swinging: bool = True
+    plan: Plan, tracking: float, tilt: float = 0.0, *, swinging: bool = True
 ) -> tuple[Family, ...]:
     """Return all non-empty families of a plan, with their spans and required distances.
 
-    The cable swings within the :func:`certified_tube`; without ``swinging`` it is quasi-static.
+    Distances of hanging cable hold for every tilt of the effective gravity up to the largest, of
+    any heading, the same for all segments. The cable swings within the :func:`certified_tube`;
+    without ``swinging`` it is quasi-static.
     """
     tube = certified_tube(plan) if swinging else None
     motion, spans = BoundedMotion(plan.motion), cable_spans(plan)
-    cable = HeldCable(motion, plan.layout.lengths, tracking, down, tube)
+    cable = HeldCable(motion, plan.layout.lengths, tracking, tilt, tube)
     every = (
         *_strands(plan, cable, spans),
         *_on_the_floor(plan, cable, spans),
@@ -223,7 +224,8 @@ def _strands(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, .
     def distances(which: npt.NDArray[np.bool_], check: str) -> Family:
         names = [(segment_name(i), segment_name(j)) for i, j in pairs[which]]
         evaluate = StrandPairs(cable, pairs[which], parts[which], diameter, clearance.cable)
-        return Family(check, names, clearance.cable, spans.suspended, evaluate, strands=2)
+        others = (*cable.tilts, *STRAND, *STRAND)
+        return Family(check, names, clearance.cable, spans.suspended, evaluate, others)
 
     return (
         Family("taut", _segments(plan, "its length"), 0.0, spans.hanging, Slack(cable)),
@@ -232,6 +234,7 @@ def _strands(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, .
         Family(
             "floor", _segments(plan, "the floor"), clearance.floor, spans.aloft,
             AboveFloor(cable, diameter, clearance.floor),
+            (*cable.tilts, *STRAND) if cable.tilts else (),
         ),
     )  # fmt: skip
 
@@ -318,7 +321,7 @@ def _bodies(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, ..
     def bodies(chosen: npt.NDArray[np.intp], check: str, required: float) -> Family:
         names = [(vehicle_name(i), segment_name(j)) for i, j in chosen]
         evaluate = VehicleStrands(cable, chosen, body, diameter, np.full(len(chosen), required))
-        return Family(check, names, required, spans.suspended, evaluate, strands=1)
+        return Family(check, names, required, spans.suspended, evaluate, (*cable.tilts, *STRAND))
 
     from_others = plan.mission.clearance.vehicle_cable
     far = FarVehicles(
@@ -365,10 +368,10 @@ def _fences(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, ..
     if cable.tube is not None:
         reach += cable.tube.whole.max(axis=0)
     upright = InsideFence(motion, tracking, fence, vehicles[:-1], vehicles[1:], reach)
-    if math.hypot(*cable.down[:2]) > 0.0:
+    if cable.tilts:
         leaning = InsideFenceInWind(cable, fence, diameter)
-        names = _segments(plan, "the fence")
-        strands = Family("fence", names, 0.0, spans.suspended, leaning, strands=1)
+        names, others = _segments(plan, "the fence"), (*cable.tilts, *STRAND)
+        strands = Family("fence", names, 0.0, spans.suspended, leaning, others)
     else:
         strands = Family("fence", _segments(plan, "the fence"), 0.0, spans.ever, upright)
     radius = np.full(len(vehicles), plan.mission.vehicles.radius)

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from swarm.certification.branch_and_bound import Boxes, Evaluator
 from swarm.certification.cable_spans import Spans
-from swarm.certification.minima import TOLERANCE, failing, roots
+from swarm.certification.minima import TOLERANCE, Intervals, failing, roots
 
 Flags = npt.NDArray[np.bool_]
 
@@ -20,9 +20,9 @@ ROOT = 1.0
 class Family:
     """Pairs of one kind whose margins are bounded together.
 
-    ``strands`` is the number of objects of a pair that the evaluator divides into pieces. ``far``
-    tells for initial boxes whether their margins are shown to be positive without a search.
-    ``tolerance`` is the difference between reported and true margins at which a search may end.
+    ``others`` are the intervals of the coordinates beside time into which the evaluator divides a
+    pair. ``far`` tells for initial boxes whether their margins are shown to be positive without a
+    search. ``tolerance`` is the difference of reported and true margins at which a search may end.
     """
 
     check: str
@@ -30,7 +30,7 @@ class Family:
     required: float
     spans: Spans
     evaluate: Evaluator
-    strands: int = 0
+    others: Intervals = ()
     far: Callable[[Boxes], Flags] | None = None
     tolerance: float = TOLERANCE
 
@@ -47,4 +47,4 @@ class Family:
 
     def roots(self) -> Boxes:
         """Return the initial boxes for all pairs over all spans of time."""
-        return roots(len(self.names), self.spans, ROOT, strands=self.strands)
+        return roots(len(self.names), self.spans, ROOT, self.others)

@@ -2,7 +2,8 @@
 
 A strand lies between its chord and the chord moved along the effective gravity: by as much as it
 can hang below its higher end. A box around that contains it, for all movements of its grip points
-within the interval and the tracking radius. In a frame that moves with the pair, boxes that are
+within the interval and the tracking radius, and for all tilts. In a frame that moves with the pair,
+boxes that are
 farther apart than the required distance show that the pair keeps it.
 """
 
@@ -35,10 +36,10 @@ class _Team(NamedTuple):
 
 
 class _Cable(NamedTuple):
-    """Lengths (n − 1,), direction (3,) of the effective gravity, tracking radius and swing."""
+    """Lengths (n − 1,), sine of the largest angle of gravity, tracking radius and swing."""
 
     lengths: Floats1
-    down: Floats1
+    aside: float
     tracking: float
     swing: float
 
@@ -113,8 +114,8 @@ def _team_of(cable: HeldCable, boxes: Boxes) -> tuple[_Team, Ints]:
 
 def _cable_of(cable: HeldCable) -> _Cable:
     swing = 0.0 if cable.tube is None else cable.tube.largest
-    down = np.array(cable.down) / np.linalg.norm(cable.down)
-    return _Cable(np.array(cable.lengths), down, cable.tracking, swing)
+    aside = cable.tilt / float(np.hypot(1.0, cable.tilt))
+    return _Cable(np.array(cable.lengths), aside, cable.tracking, swing)
 
 
 @compiled
@@ -173,11 +174,17 @@ def _write_box(
     if _stretched(team, cable, which):
         box[:3], box[3:] = -np.inf, np.inf
         return
-    depth = max_depth((start, end), cable.down, cable.lengths[i], moved)
+    square = 0.0
     for axis in range(3):
-        hanging = depth * cable.down[axis]
-        box[axis] = min(start[axis], end[axis]) - moved + min(hanging, 0.0)
-        box[3 + axis] = max(start[axis], end[axis]) + moved + max(hanging, 0.0)
+        square += (end[axis] - start[axis]) ** 2
+    chord = np.sqrt(square)
+    rise = abs(end[2] - start[2]) + cable.aside * chord
+    longest = min(rise, chord) + 2.0 * moved
+    depth = max_depth(max(chord - 2.0 * moved, 0.0), longest, cable.lengths[i])
+    for axis in range(3):
+        aside = depth * cable.aside if axis < 2 else 0.0
+        box[axis] = min(start[axis], end[axis]) - moved - (aside if axis < 2 else depth)
+        box[3 + axis] = max(start[axis], end[axis]) + moved + aside
 
 
 @inner

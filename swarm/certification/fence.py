@@ -10,13 +10,16 @@ from swarm.certification.motion_bounds import BoundedMotion, TeamStates, ends_at
 from swarm.certification.strand_pieces import (
     CableTables,
     Displacement,
+    Gravity,
     HeldCable,
     Part,
     Piece,
+    gravity_in,
     held_piece,
     held_strand,
-    largest_movement,
-    piece_movement,
+    is_bounded,
+    kept_from_plane,
+    write_unbounded,
 )
 from swarm.geometry.distance import segment_distance, segment_segment
 from swarm.geometry.sensitivity import BOTH_ENDS
@@ -76,7 +79,7 @@ class InsideFenceInWind:
     diameter: float
 
     def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box; coordinates are time and the strand's fraction."""
+        """Enclose the margin in each box; coordinates are time, tilt and the strand's fraction."""
         found = Enclosure.not_found(boxes)
         sides = contiguous(_sides(self.fence))
         half, chord = 0.5 * self.diameter, np.empty((2, 3))
@@ -115,45 +118,46 @@ def _write_margins(
     """
     for b in range(len(boxes.group)):
         middle, half, segment = boxes.middle[b], boxes.half[b], boxes.group[b]
+        gravity = gravity_in(cable, middle, half)
+        if not is_bounded(gravity):
+            write_unbounded(gravity, b, found)
+            continue
         instant = instant_at(cable.motion, middle[0], half[0])
         grips = ends_at(cable.motion, instant, segment)
         displacement = Displacement((0.0, 0.0, 0.0), BOTH_ENDS, cable.tracking, 0.0)
-        held = held_strand(cable, segment, grips, instant, displacement)
-        piece = held_piece(cable, held, instant, Part(middle[1], half[1], 0.0, 1.0))
-        low, high, in_time = np.inf, np.inf, 0.0
+        held = held_strand(cable, segment, grips, instant, displacement, gravity)
+        piece = held_piece(cable, held, instant, Part(middle[3], half[3], 0.0, 1.0))
+        low, high = np.inf, np.inf
         for side in sides:
-            to_low, to_high, doubt = _from_wall(cable, piece, side, chord, radius)
-            low, high, in_time = min(low, to_low), min(high, to_high), max(in_time, doubt)
+            to_low, to_high, doubts = _from_wall(cable, piece, side, chord, gravity)
+            low, high = min(low, to_low - radius), min(high, to_high - radius)
+            for k in range(4):
+                found.doubts[b, k] = max(found.doubts[b, k], doubts[k])
         if not (_within(grips[0].place, sides) and _within(grips[1].place, sides)):
             # A strand with a grip outside is outside, at whatever distance.
             low, high = min(low, -_OUTSIDE), min(high, -_OUTSIDE)
         found.low[b], found.high[b] = low, high
-        found.doubts[b, 0], found.doubts[b, 1] = in_time, max(high - low - in_time, 0.0)
         for axis in range(3):
             found.place[b, axis] = 0.5 * (piece.near[axis] + piece.far[axis])
 
 
 @inner
 def _from_wall(
-    cable: CableTables, piece: Piece, side: Floats, chord: Floats, radius: float
-) -> tuple[float, float, float]:
-    """Return bounds of a piece's distance from a side (2, 3), and their doubt from time.
+    cable: CableTables, piece: Piece, side: Floats, chord: Floats, gravity: Gravity
+) -> tuple[float, float, tuple[float, float, float, float]]:
+    """Return bounds of a piece's distance from a side (2, 3), and their doubts.
 
     ``chord`` (2, 3) is memory.
     """
     near, far = (piece.near[0], piece.near[1], 0.0), (piece.far[0], piece.far[1], 0.0)
     begin, end = (side[0, 0], side[0, 1], 0.0), (side[1, 0], side[1, 1], 0.0)
     chord[0, 0], chord[0, 1], chord[1, 0], chord[1, 1] = near[0], near[1], far[0], far[1]
-    square, here, there = segment_distance(chord, 0, side, 0)
+    _, here, there = segment_distance(chord, 0, side, 0)
     at_strand = moved(near, here, difference(far, near))
     normal = unit(difference(at_strand, moved(begin, there, difference(end, begin))))
-    reach = min(dot(near, normal), dot(far, normal))
     wall = max(dot(begin, normal), dot(end, normal))
-    largest, swing = largest_movement(cable, piece, normal), piece.swing
-    moves = piece_movement(cable, piece, normal, here, largest)
-    low = reach - wall - piece.bow - moves.piece - radius - swing.most
-    high = np.sqrt(square) + piece.bow - moves.tracking - radius - swing.least
-    return low, high, moves.point - moves.tracking + (swing.most - swing.now)
+    low, high, doubts = kept_from_plane(cable, piece, normal, here, gravity)
+    return low - wall, high - wall, doubts
 
 
 @inner

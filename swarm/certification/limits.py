@@ -18,13 +18,18 @@ from swarm.certification.motion_bounds import (
 from swarm.certification.strand_pieces import (
     CableTables,
     Displacement,
+    Gravity,
     HeldCable,
     Part,
+    gravity_in,
     held_piece,
     held_strand,
+    is_bounded,
+    kept_from_plane,
     largest_movement,
     piece_movement,
     strand_point,
+    write_unbounded,
 )
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.sensitivity import BOTH_ENDS
@@ -64,10 +69,11 @@ class AboveFloor:
     required: float
 
     def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box."""
+        """Enclose the margin in each box; in wind, coordinates are time, tilt and a fraction."""
         found = Enclosure.not_found(boxes)
         heights = 0.5 * self.diameter, self.required
-        _write_heights(self.cable.tables, heights, boxes.arrays(), found.arrays())
+        write = _write_heights_in_wind if self.cable.tilts else _write_heights
+        write(self.cable.tables, heights, boxes.arrays(), found.arrays())
         return found
 
 
@@ -140,17 +146,42 @@ def _lowest(cable: CableTables, segment: int, instant: Instant) -> tuple[float, 
     """Return a bound of the vertical movement of a strand, and its lowest point."""
     grips = ends_at(cable.motion, instant, segment)
     displacement = Displacement(_level_velocity(grips), BOTH_ENDS, cable.tracking, 0.0)
-    held = held_strand(cable, segment, grips, instant, displacement)
+    still = Gravity((0.0, 0.0, -1.0), 0.0, 0.0, 0.0)
+    held = held_strand(cable, segment, grips, instant, displacement, still)
     piece = held_piece(cable, held, instant, Part(0.5, 0.5, 0.0, 1.0))
-    # The lowest point is where the tangent is level; in wind, gravity is not vertical.
-    strand = piece.strand
-    catenary, level_slope = strand.catenary, strand.heading[2] / cable.down[2]
-    along = (level_slope - catenary.slope) * catenary.parameter / catenary.length
-    along = min(max(along, 0.0), 1.0)
+    catenary = piece.strand.catenary
+    along = min(max(-catenary.slope * catenary.parameter / catenary.length, 0.0), 1.0)
+    lowest = strand_point(piece.strand, along)
     normal = 0.0, 0.0, 1.0
-    largest = largest_movement(cable, piece, normal)
-    moved = piece_movement(cable, piece, normal, along, largest).piece + piece.swing.most
-    return moved, strand_point(strand, cable.down, along)
+    largest = largest_movement(cable, piece, normal, still)
+    moved = piece_movement(cable, piece, normal, along, still, largest).piece + piece.swing.most
+    return moved, lowest
+
+
+@compiled
+def _write_heights_in_wind(
+    cable: CableTables, heights: tuple[float, float], boxes: BoxArrays, found: EnclosureArrays
+) -> None:
+    """Write the margins of pieces of strands that lean to the sum of two ``heights``."""
+    for b in range(len(boxes.group)):
+        middle, half, segment = boxes.middle[b], boxes.half[b], boxes.group[b]
+        gravity = gravity_in(cable, middle, half)
+        if not is_bounded(gravity):
+            write_unbounded(gravity, b, found)
+            continue
+        instant = instant_at(cable.motion, middle[0], half[0])
+        grips = ends_at(cable.motion, instant, segment)
+        displacement = Displacement(_level_velocity(grips), BOTH_ENDS, cable.tracking, 0.0)
+        held = held_strand(cable, segment, grips, instant, displacement, gravity)
+        piece = held_piece(cable, held, instant, Part(middle[3], half[3], 0.0, 1.0))
+        lower = 0.0 if piece.near[2] <= piece.far[2] else 1.0
+        low, high, doubts = kept_from_plane(cable, piece, (0.0, 0.0, 1.0), lower, gravity)
+        found.low[b] = low - heights[0] - heights[1]
+        found.high[b] = high - heights[0] - heights[1]
+        for k in range(4):
+            found.doubts[b, k] = doubts[k]
+        for axis in range(3):
+            found.place[b, axis] = 0.5 * (piece.near[axis] + piece.far[axis])
 
 
 @inner

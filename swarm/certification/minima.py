@@ -1,9 +1,11 @@
 """The smallest margins of pairs over time, by branch and bound.
 
-The coordinates of a box are mission time and, for margins of strands, the fractions between which
-a piece of each strand lies. The group of a box is the number of its pair.
+The coordinates of a box are mission time; in wind both parts of the tilt of the effective gravity;
+and, for margins of strands, the fractions between which a piece of each strand lies. The group of a
+box is the number of its pair.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 
@@ -15,6 +17,7 @@ from swarm.certification.branch_and_bound import Boxes, Enclosure, Evaluator, se
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 Flags = npt.NDArray[np.bool_]
+Intervals = Sequence[tuple[float, float]]
 
 TOLERANCE = 0.004
 """Largest difference in metres between a reported margin and the true one: below what a vehicle's
@@ -27,12 +30,12 @@ _CLEARLY_POSITIVE = 0.05
 """Margins above this share of the tolerance are shown not to be negative."""
 
 _SMALLEST_HALF = 1e-6
-"""Half widths, in seconds or as a share of a strand, below which a box is not halved: far below
-what changes a margin by the tolerance."""
+"""Half widths, in seconds or as a share of strand or tilt, below which a box is not halved:
+far below what changes a margin by the tolerance."""
 
 MOST_BOXES, MOST_PER_ROOT = 500_000, 128
-"""A search ends after MOST_BOXES boxes and MOST_PER_ROOT for each initial box: minutes of
-computing. Margins that are not shown by then count as not shown."""
+"""A search ends after MOST_BOXES boxes and MOST_PER_ROOT for each initial box, in wind after eight
+times as many: minutes of computing. Margins that are not shown by then count as not shown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +61,12 @@ class Minima:
         return found
 
 
-def roots(pairs: int, spans: list[tuple[float, float]], width: float, *, strands: int = 0) -> Boxes:
+def roots(
+    pairs: int, spans: list[tuple[float, float]], width: float, others: Intervals = ()
+) -> Boxes:
     """Return boxes of at most ``width`` seconds for all pairs over the given spans of time.
 
-    ``strands`` (0…2) is the number of objects of a pair that are divided into pieces.
+    They are as wide as the intervals of all ``others``, the coordinates beside time.
     """
     middles: list[Floats] = [np.empty(0)]
     halves: list[Floats] = [np.empty(0)]
@@ -72,13 +77,16 @@ def roots(pairs: int, spans: list[tuple[float, float]], width: float, *, strands
         halves.append(np.full(count, half))
     times, widths = np.concatenate(middles), np.concatenate(halves)
     pair = np.repeat(np.arange(pairs), len(times))
-    return whole_strands(pair, np.tile(times, pairs), np.tile(widths, pairs), strands=strands)
+    return boxes_of(pair, np.tile(times, pairs), np.tile(widths, pairs), others)
 
 
-def whole_strands(pair: Ints, time: Floats, half: Floats, *, strands: int) -> Boxes:
-    """Return boxes (m,) of pairs at times within half widths, with whole strands."""
-    fractions = np.full((len(pair), strands), 0.5)
-    middle, width = (np.column_stack([values, fractions]) for values in (time, half))
+def boxes_of(pair: Ints, time: Floats, half: Floats, others: Intervals) -> Boxes:
+    """Return boxes (m,) of pairs at times within half widths, as wide as all other intervals."""
+    low, high = np.reshape(np.asarray(others, dtype=float), (-1, 2)).T
+    middle, width = (
+        np.column_stack([values, np.tile(other, (len(pair), 1))])
+        for values, other in ((time, 0.5 * (low + high)), (half, 0.5 * (high - low)))
+    )
     return Boxes(pair, middle, width, np.full(len(pair), -np.inf))
 
 
@@ -171,7 +179,8 @@ def failing(
 
 def _most(boxes: Boxes, initial: int) -> int:
     """Largest number of boxes of a search with these initial ones, or with that many."""
-    return MOST_BOXES + MOST_PER_ROOT * max(len(boxes), initial)
+    most = MOST_BOXES + MOST_PER_ROOT * max(len(boxes), initial)
+    return most if boxes.middle.shape[1] <= 3 else 8 * most
 
 
 def _exhausted(boxes: Boxes, found: Enclosure) -> Flags:

@@ -2,21 +2,17 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 
-from swarm.certification.air import wind_down
+from swarm.certification.air import wind_tilt
 from swarm.certification.assessment import Robustness
 from swarm.certification.branch_and_bound import Boxes
-from swarm.certification.clearances import (
-    STILL_AIR,
-    Moment,
-    certified,
-    families,
-)
+from swarm.certification.clearances import Moment, certified, families
 from swarm.certification.family import ROOT, Family
-from swarm.certification.minima import failing, whole_strands
+from swarm.certification.minima import boxes_of, failing
+from swarm.certification.strand_pieces import TILTS
 from swarm.planning import Plan
 from swarm.threads import both, side_by_side
 
@@ -30,8 +26,8 @@ MOST_WIND = 15.0
 """Largest wind that is tried, m/s (Beaufort 7)."""
 WIND_STEP = 0.1
 """Resolution of w*, m/s: the last digit that is shown."""
-DIRECTIONS = 8
-"""Directions of the wind, 45° apart."""
+_GUESSED, _NARROW = 8, 1e-5
+"""Directions in which a value is tried before it is certified in all, and a width of no effect."""
 
 
 def robustness_of(
@@ -55,26 +51,24 @@ def robustness_of(
 def largest_tracking(plan: Plan, moments: Iterable[Moment] = ()) -> float | None:
     """Return e*, metres: the largest tracking radius for which the certificate holds.
 
-    Found to TRACKING_STEP from below, so the certificate does hold there; at most MOST_TRACKING.
+    Found to TRACKING_STEP from below, so the certificate does hold there, and for smaller errors,
+    which the radius contains; at most MOST_TRACKING.
     None where it does not even hold for exact tracking. The tightest ``moments`` for the mission's
     own tracking radius are optional and make the search faster.
     """
     moments = tuple(moments)
-
-    def cases(error: float) -> Cases:
-        return {0: lambda: families(plan, error, STILL_AIR)}
-
     tracking = plan.mission.vehicles.tracking
-    search = _Search(cases, moments)
+    search = _Search(lambda error: families(plan, error), moments)
     return _largest(search, tracking, _all_hold(moments), MOST_TRACKING, TRACKING_STEP)
 
 
 def largest_wind(plan: Plan, moments: Iterable[Moment] = ()) -> float | None:
-    """Return w*, m/s: the largest steady wind for which the certificate holds, in DIRECTIONS.
+    """Return w*, m/s: the certificate holds in every steady wind up to it, of any heading.
 
-    All freely hanging strands tilt with their drag, at the mission's tracking radius, and keep
-    their distance from each other, from vehicles, floor and fence; at most MOST_WIND. None where
-    the certificate does not hold in still air. ``moments`` as for :func:`largest_tracking`.
+    All freely hanging strands tilt equally, with the drag of strands across the wind, at the
+    mission's tracking radius, and keep their distance from each other, from vehicles, floor and
+    fence; at most MOST_WIND. None where the certificate does not hold in still air. ``moments`` as
+    for :func:`largest_tracking`.
     """
     moments = tuple(moments)
     search = _Search(lambda speed: _windy(plan, speed), moments)
@@ -95,34 +89,26 @@ def confirmed(plan: Plan, recorded: Robustness) -> Robustness:
 
 
 def failure_in_wind(plan: Plan, speed: float) -> tuple[str, tuple[str, str], float] | None:
-    """Return the first check that fails in a steady wind (m/s), its pair and the time.
+    """Return the first check that fails in a steady wind up to ``speed`` (m/s), pair and time.
 
-    At the mission's tracking radius, for DIRECTIONS directions; None where all checks hold.
+    At the mission's tracking radius, for all headings; None where all checks hold.
     """
-    for case in _windy(plan, speed).values():
-        for family in case():
-            found = family.failing()
-            if found is not None:
-                return family.check, family.names[found[0]], found[1]
+    for family in _windy(plan, speed):
+        found = family.failing()
+        if found is not None:
+            return family.check, family.names[found[0]], found[1]
     return None
 
 
-Cases = Mapping[int, Callable[[], tuple[Family, ...]]]
-"""Families of checks for each case; a case keeps its number when the value changes."""
+def _windy(plan: Plan, speed: float) -> tuple[Family, ...]:
+    """Return the checks in still air, or those of steady winds up to a speed that it changes.
 
-
-def _windy(plan: Plan, speed: float) -> Cases:
-    """Still air, or the wind in every direction; it does not move vehicles here."""
-    tracking = plan.mission.vehicles.tracking
+    Wind does not move vehicles here.
+    """
+    found = families(plan, plan.mission.vehicles.tracking, wind_tilt(plan, speed))
     if speed == 0.0:
-        return {0: lambda: families(plan, tracking, STILL_AIR)}
-
-    def in_wind(towards: float) -> tuple[Family, ...]:
-        found = families(plan, tracking, wind_down(plan, speed, towards))
-        return tuple(family for family in found if family.check not in _WINDLESS)
-
-    headings = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    return {k: partial(in_wind, float(heading)) for k, heading in enumerate(headings)}
+        return found
+    return tuple(family for family in found if family.check not in _WINDLESS)
 
 
 _WINDLESS = frozenset(
@@ -137,25 +123,27 @@ _WINDLESS = frozenset(
 class _Search:
     """Tries values, first in the boxes in which earlier values failed, and at tight ``moments``."""
 
-    def __init__(self, cases: Callable[[float], Cases], moments: tuple[Moment, ...]) -> None:
-        self._cases = cases
-        self._families = cache(lambda value, case: cases(value)[case]())
+    def __init__(
+        self, checks: Callable[[float], tuple[Family, ...]], moments: tuple[Moment, ...]
+    ) -> None:
+        self._families = cache(checks)
         self._tight = _tight_times(moments)
         self._margins: dict[str, float] = {}
         for moment in moments:
             least = self._margins.get(moment.check, math.inf)
             self._margins[moment.check] = min(least, moment.margin)
-        self._failed: dict[tuple[int, int], set[tuple[int, float]]] = {}
-        self._worst: tuple[int, int] | None = None
-        self._held: dict[tuple[int, int], float] = {}
+        self._failed: dict[int, set[tuple[int, float]]] = {}
+        self._worst: int | None = None
+        self._held: dict[int, float] = {}
 
     def narrowed(self, good: float, bad: float, most: float, step: float) -> tuple[float, float]:
         """Return the largest value that holds in the tight boxes, and a value ``step`` above it.
 
         ``good`` holds everywhere, ``bad`` fails or is above ``most``. Each family is tried at the
         largest value that the ones before hold at, and only one that fails there is bisected: most
-        are tried once. One that holds at a value is taken to hold at smaller ones: the result is
-        certified in all boxes.
+        are tried once. This is a guess; the result is certified in all boxes. It holds for smaller
+        values too, which the same boxes contain: a ball of tracking errors the smaller ones, and a
+        disc of tilts those of weaker winds.
         """
         halvings = math.ceil(math.log2((bad - good) / step))
         step = (bad - good) / 2**halvings
@@ -166,7 +154,7 @@ class _Search:
                 largest, self._worst = held, which
         return good + largest * step, good + (largest + 1) * step
 
-    def _most_steps(self, which: tuple[int, int], most: int, good: float, step: float) -> int:
+    def _most_steps(self, which: int, most: int, good: float, step: float) -> int:
         """Return the largest number of steps above ``good``, of at most ``most``, that hold."""
         held, failed = 0, most + 1
         tried = most
@@ -178,27 +166,21 @@ class _Search:
             tried = (held + failed) // 2
         return held
 
-    def _holds_in_tight_boxes(self, which: tuple[int, int], value: float) -> bool:
+    def _holds_in_tight_boxes(self, which: int, value: float) -> bool:
         if value <= self._held.get(which, -math.inf):
             return True
-        case, index = which
-        family = self._families(value, case)[index]
-        tight = self._failed.setdefault(which, self._tight_of(family))
-        found = not tight or not failing(
-            family.evaluate, _boxes(family, tight), tolerance=family.tolerance
-        )
+        family = self._families(value)[which]
+        tight, failed = self._tight_of(family), self._failed.get(which, set())
+        found = not tight or _holds(family, _at_full_tilt(_boxes(family, tight), family))
+        found = found and (not failed or _holds(family, _boxes(family, failed)))
         if found:
             self._held[which] = value
         return found
 
-    def _likely_first(self, value: float) -> list[tuple[int, int]]:
-        """All families of all cases: the last failed one, then those with the least margins."""
-        every = {
-            (case, index): self._margins.get(family.check, math.inf)
-            for case in self._cases(value)
-            for index, family in enumerate(self._families(value, case))
-        }
-        return sorted(every, key=lambda which: (which != self._worst, every[which]))
+    def _likely_first(self, value: float) -> list[int]:
+        """All families: the last failed one, then those with the least margins."""
+        every = [self._margins.get(family.check, math.inf) for family in self._families(value)]
+        return sorted(range(len(every)), key=lambda which: (which != self._worst, every[which]))
 
     def _tight_of(self, family: Family) -> set[tuple[int, float]]:
         return {
@@ -211,8 +193,8 @@ class _Search:
     def holds(self, value: float) -> bool:
         """Return whether the value holds everywhere; keeps the box in which it fails."""
         every = self._likely_first(value)
-        families = [self._families(value, case)[index] for case, index in every]
-        for which, found in zip(every, side_by_side(Family.failing, families), strict=True):
+        ordered = [self._families(value)[which] for which in every]
+        for which, found in zip(every, side_by_side(Family.failing, ordered), strict=True):
             if found is not None:
                 self._failed.setdefault(which, set()).add(found)
                 self._held.pop(which, None)
@@ -229,7 +211,23 @@ def _boxes(family: Family, tight: set[tuple[int, float]]) -> Boxes:
         low, high = max(start, time - 0.5 * ROOT), min(end, time + 0.5 * ROOT)
         rows.append((pair, 0.5 * (low + high), 0.5 * (high - low)))
     pairs, middles, halves = (np.array(column) for column in zip(*rows, strict=True))
-    return whole_strands(pairs.astype(np.intp), middles, halves, strands=family.strands)
+    return boxes_of(pairs.astype(np.intp), middles, halves, family.others)
+
+
+def _holds(family: Family, boxes: Boxes) -> bool:
+    return failing(family.evaluate, boxes, tolerance=family.tolerance) is None
+
+
+def _at_full_tilt(boxes: Boxes, family: Family) -> Boxes:
+    """Return boxes at the full tilt in some directions, instead of all tilts: for a first guess."""
+    if family.others[:2] != TILTS:
+        return boxes
+    cut = boxes.taken(np.repeat(np.arange(len(boxes)), _GUESSED))
+    heading = np.tile(2.0 * math.pi * np.arange(_GUESSED) / _GUESSED, len(boxes))
+    # Within the disc, whatever rounding does.
+    cut.middle[:, 1], cut.middle[:, 2] = (1.0 - 1e-9) * np.stack([np.cos(heading), np.sin(heading)])
+    cut.half[:, 1:3] = _NARROW
+    return cut
 
 
 Tight = Mapping[tuple[str, tuple[str, str]], Iterable[float]]

@@ -3,6 +3,9 @@
 The movement of a piece is that of its grip points within the interval of time and the tracking
 radius, multiplied by the sensitivity of the strand. It is counted in a frame that moves with the
 team, since motion that all share changes no distance.
+
+In wind the effective gravity leans, and with it all strands. A point moves by the first order,
+which is exact and may cancel between two strands, and a bounded remainder.
 """
 
 import math
@@ -13,6 +16,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.branch_and_bound import EnclosureArrays
+from swarm.certification.minima import Intervals
 from swarm.certification.motion_bounds import BoundedMotion, Grip, Instant, MotionTables
 from swarm.certification.tube_radii import Radii, TubeRadii, TubeTables, radii_over
 from swarm.geometry.catenary_kernel import (
@@ -24,10 +29,13 @@ from swarm.geometry.catenary_kernel import (
 )
 from swarm.geometry.catenary_shape import SMALLEST_HALF_ANGLE, VERTICAL
 from swarm.geometry.linear_response import (
+    PointResponse,
+    curvature,
     curvature_table,
+    first_order,
     movement,
     movement_difference,
-    strand_response,
+    point_response,
 )
 from swarm.geometry.sensitivity import (
     BOTH_ENDS,
@@ -41,11 +49,15 @@ from swarm.geometry.sensitivity import (
     ratio_range,
     sensitivity_tables,
 )
-from swarm.geometry.vectors import Vector, difference, dot, moved, size
+from swarm.geometry.vectors import Vector, cross, difference, dot, moved, size, times
 from swarm.jit import inner
 from swarm.signatures import Floats1, Floats3, contiguous
 
 Floats = npt.NDArray[np.float64]
+
+
+TILTS = ((-1.0, 1.0), (-1.0, 1.0))
+"""Intervals of both parts of a tilt, in units of the largest one."""
 
 
 class CableTables(NamedTuple):
@@ -54,7 +66,7 @@ class CableTables(NamedTuple):
     motion: MotionTables
     lengths: Floats1
     tracking: float
-    down: tuple[float, float, float]
+    tilt: float
     tube: TubeTables
     curvature: Floats3
     sensitivity: Sensitivity
@@ -65,29 +77,87 @@ class HeldCable:
     """A cable held by a moving team: n grip points and n − 1 segments.
 
     ``lengths`` (n − 1,) of the segments, metres; ``tracking`` the tracking radius around every
-    setpoint, metres; ``down`` the unit vector of the effective gravity; ``tube`` bounds how far the
-    cable swings from its catenaries (None: it is quasi-static).
+    setpoint, metres; ``tilt`` the largest tilt of the effective gravity, of any heading, the same
+    for all segments (:func:`.air.wind_tilt`); ``tube`` bounds how far the cable swings from its
+    catenaries (None: it is quasi-static).
     """
 
     motion: BoundedMotion
     lengths: Floats
     tracking: float
-    down: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    tilt: float = 0.0
     tube: TubeRadii | None = None
+
+    @property
+    def tilts(self) -> Intervals:
+        """Intervals of both parts of the tilt, east and north; none in still air."""
+        return TILTS if self.tilt > 0.0 else ()
 
     @cached_property
     def tables(self) -> CableTables:
         """The cable for compiled code."""
-        east, north, up = (np.asarray(self.down) / np.linalg.norm(self.down)).tolist()
         return CableTables(
             self.motion.tables,
             contiguous(self.lengths),
             self.tracking,
-            (east, north, up),
+            self.tilt,
             TubeTables.none() if self.tube is None else self.tube.tables,
             curvature_table(),
             sensitivity_tables(),
         )
+
+
+class Gravity(NamedTuple):
+    """Effective gravities in a box, shared by all strands: one, and how far others lean from it.
+
+    ``down`` is the unit vector of the one. ``angle`` bounds the angle between it and another,
+    radians; ``east`` and ``north`` the parts of the tilt's change, for :func:`lean`. The angle is
+    −1 where there is no gravity at all.
+    """
+
+    down: Vector
+    angle: float
+    east: float
+    north: float
+
+
+@inner
+def gravity_in(cable: CableTables, middle: Floats, half: Floats) -> Gravity:
+    """Return the gravities in a box, whose coordinates begin with time and both parts of the tilt.
+
+    The tilt is the horizontal part over the vertical one, and lies in a disc. With v = (tilt, −1),
+    before and after a change Δ of the tilt, v × v' = v × Δ: so sin angle ≤ |Δ| / |v'|, and
+    θ·g = (angle / sin angle) (g × v/|v|)·Δ/|v'|.
+    """
+    if cable.tilt == 0.0:
+        return Gravity((0.0, 0.0, -1.0), 0.0, 0.0, 0.0)
+    west, east = middle[1] - half[1], middle[1] + half[1]
+    south, north = middle[2] - half[2], middle[2] + half[2]
+    aside, ahead = max(west, -east, 0.0), max(south, -north, 0.0)
+    least = aside * aside + ahead * ahead
+    if least >= 1.0:
+        return Gravity((0.0, 0.0, -1.0), -1.0, 0.0, 0.0)
+    reach, reach_ahead = math.sqrt(1.0 - ahead * ahead), math.sqrt(1.0 - aside * aside)
+    west, east = max(west, -reach), min(east, reach)
+    south, north = max(south, -reach_ahead), min(north, reach_ahead)
+    x, y = 0.5 * (west + east), 0.5 * (south + north)
+    outside = max(math.hypot(x, y), 1.0)
+    x, y = x / outside, y / outside
+    # A hair wider than the disc, for the rounding of its border.
+    wide = cable.tilt * (max(east - x, x - west) + 1e-12)
+    deep = cable.tilt * (max(north - y, y - south) + 1e-12)
+    shortest = math.sqrt(1.0 + cable.tilt * cable.tilt * least)
+    # The disc ends before the corners of its box.
+    change = min(math.hypot(wide, deep), cable.tilt * (math.hypot(x, y) + 1.0 + 1e-12))
+    sine = change / shortest
+    x, y = cable.tilt * x, cable.tilt * y
+    length = math.sqrt(1.0 + x * x + y * y)
+    down = x / length, y / length, -1.0 / length
+    if sine >= 1.0:
+        return Gravity(down, np.inf, np.inf, np.inf)
+    angle = math.asin(sine)
+    per_tilt = angle / sine / shortest
+    return Gravity(down, angle, per_tilt * wide, per_tilt * deep)
 
 
 class Part(NamedTuple):
@@ -125,10 +195,12 @@ class Displacement(NamedTuple):
 class Strand(NamedTuple):
     """A hanging strand: its start, the horizontal unit vector to its end, and its catenary.
 
-    ``arc`` is :func:`.catenary_kernel.arc_start` of its slope.
+    Horizontal is across ``down``, its gravity. ``arc`` is :func:`.catenary_kernel.arc_start` of its
+    slope.
     """
 
     start: Vector
+    down: Vector
     heading: Vector
     catenary: Catenary
     arc: tuple[float, float, float]
@@ -138,15 +210,17 @@ class _EndMotion(NamedTuple):
     """Bounds of the movement of grip points, metres.
 
     ``total`` within interval and tracking radius, ``tracking`` within the tracking radius alone;
-    ``relative`` and ``relative_tracking`` of the ends relative to each other. ``ends`` tells which
+    ``longer`` and ``longer_tracking`` of the ends relative to each other, and ``relative`` with
+    their turn in other gravities, which leaves the chord as long as it is. ``ends`` tells which
     ends move.
     """
 
     ends: int
     total: float
     tracking: float
+    longer: float
+    longer_tracking: float
     relative: float
-    relative_tracking: float
 
 
 class HeldStrand(NamedTuple):
@@ -176,24 +250,45 @@ class Piece(NamedTuple):
 
 
 class Movement(NamedTuple):
-    """Bounds of the movement along a normal.
+    """Bounds of the movement of a piece along a normal.
 
-    ``piece`` of any point of the piece; ``point`` of one point, and ``tracking`` of that point by
-    tracking errors alone.
+    ``piece`` by its ends; ``linear`` that of one point by its linear response, with ``at_point`` in
+    first order and ``bent`` beyond it. The point is at a ``fraction`` of the strand, and ``up`` is
+    the part of the normal against the gravity. ``leaning`` is the movement by other gravities.
     """
 
     piece: float
-    point: float
-    tracking: float
+    linear: float
+    at_point: float
+    bent: float
+    fraction: float
+    up: float
+    leaning: "Leaning"
+
+
+class Leaning(NamedTuple):
+    """Bounds of the movement along a normal by other gravities.
+
+    Of any point of a piece either ``most``; or the product of ``moment`` and the turn, which may
+    cancel with that of another strand, and ``beyond`` it, and ``along`` the piece.
+    """
+
+    most: float
+    beyond: float
+    along: float
+    moment: Vector
 
 
 @inner
-def strand_between(cable: CableTables, segment: int, start: Vector, end: Vector) -> Strand:
-    """Return the strand of a segment between two points.
+def strand_between(
+    cable: CableTables, segment: int, ends: tuple[Vector, Vector], down: Vector
+) -> Strand:
+    """Return the strand of a segment between two points, in a gravity.
 
     Over-stretched segments are drawn with a length that reaches: the taut check refuses them.
     """
-    across, down = difference(end, start), cable.down
+    start, end = ends
+    across = difference(end, start)
     length = max(cable.lengths[segment], size(across) / LARGEST_RATIO)
     rise = -dot(across, down)
     level = moved(across, rise, down)
@@ -202,13 +297,13 @@ def strand_between(cable: CableTables, segment: int, start: Vector, end: Vector)
     _, parameter, slope = solve(wide, rise, length, SMALLEST_HALF_ANGLE)
     heading = level[0] / wide, level[1] / wide, level[2] / wide
     catenary = Catenary(length, parameter, slope, span, rise)
-    return Strand(start, heading, catenary, arc_start(slope))
+    return Strand(start, down, heading, catenary, arc_start(slope))
 
 
 @inner
-def strand_point(strand: Strand, down: Vector, fraction: float) -> Vector:
+def strand_point(strand: Strand, fraction: float) -> Vector:
     """Return the point of a strand at a fraction of its arc."""
-    catenary, heading = strand.catenary, strand.heading
+    catenary, heading, down = strand.catenary, strand.heading, strand.down
     turning = catenary.length / catenary.parameter
     angle, height = offset_from(strand.arc, fraction, turning)
     a, length = catenary.parameter, -catenary.length
@@ -224,10 +319,12 @@ def held_strand(
     grips: tuple[Grip, Grip],
     instant: Instant,
     displacement: Displacement,
+    gravity: Gravity,
 ) -> HeldStrand:
     """Return the strand of a segment with bounds of the movement of its grip points."""
-    strand = strand_between(cable, segment, grips[0].place, grips[1].place)
-    motion = _end_motion(grips, instant.half, displacement, 2.0 * cable.tracking)
+    strand = strand_between(cable, segment, (grips[0].place, grips[1].place), gravity.down)
+    turned = gravity.angle * math.hypot(strand.catenary.span, strand.catenary.rise)
+    motion = _end_motion(grips, instant.half, displacement, (2.0 * cable.tracking, turned))
     return HeldStrand(segment, strand, motion)
 
 
@@ -236,7 +333,7 @@ def held_piece(cable: CableTables, held: HeldStrand, instant: Instant, part: Par
     """Return a piece of a strand."""
     strand = held.strand
     begin, end = counted(part)
-    near, far = strand_point(strand, cable.down, begin), strand_point(strand, cable.down, end)
+    near, far = strand_point(strand, begin), strand_point(strand, end)
     across, arc = size(difference(far, near)), strand.catenary.length * (end - begin)
     number = int(np.rint((1.0 + part.middle - part.half) / (2.0 * part.half)))
     return Piece(
@@ -260,9 +357,16 @@ def _drift(grip: Grip, half: float, frame: Vector) -> float:
 
 @inner
 def _end_motion(
-    grips: tuple[Grip, Grip], half: float, displacement: Displacement, ball: float
+    grips: tuple[Grip, Grip],
+    half: float,
+    displacement: Displacement,
+    by: tuple[float, float],
 ) -> _EndMotion:
-    """Return the movement of both grip points; ``ball`` is that by tracking errors, metres."""
+    """Return the movement of both grip points.
+
+    ``by`` is that relative to each other by tracking errors and by a turn, metres.
+    """
+    ball, turned = by
     first, last = grips
     ends, frame = displacement.ends, displacement.frame
     if ends == BOTH_ENDS:
@@ -270,68 +374,264 @@ def _end_motion(
     else:
         drifted = _drift(last if ends == FAR_END else first, half, frame)
     apart = size(difference(last.velocity, first.velocity))
-    relative = apart * half + first.deviation + last.deviation
+    longer = apart * half + first.deviation + last.deviation + ball
     total = drifted + displacement.deviation + displacement.tracking
-    return _EndMotion(ends, total, displacement.tracking, relative + ball, ball)
+    return _EndMotion(ends, total, displacement.tracking, longer, ball, longer + turned)
 
 
 @inner
 def piece_movement(
-    cable: CableTables, piece: Piece, normal: Vector, along: float, largest: float
+    cable: CableTables,
+    piece: Piece,
+    normal: Vector,
+    along: float,
+    gravity: Gravity,
+    largest: float,
 ) -> Movement:
     """Return bounds of the movement of a piece along a unit vector.
 
-    ``along`` is the fraction of the chord at which the single point lies. Its bounds separate the
-    uncertainty of the piece's size from that of the interval. Each bound is the smaller of two: by
-    the sensitivity of all shapes, for the piece the :func:`largest_movement`, and by the strand's
-    own linear response.
+    ``along`` is the fraction of the chord at which the point of the first order lies. Movement by
+    the ends is the smaller of two: by the sensitivity of all shapes, ``largest``, and by the
+    strand's own linear response, which changes with the gravity. So is that by the gravity.
     """
-    strand, motion, begin, end = piece.strand.catenary, piece.end_motion, piece.begin, piece.end
-    relative, total = motion.relative, motion.total
-    up, fraction = -dot(normal, cable.down), begin + along * (end - begin)
-    at_point, per_arc, curvature = strand_response(
-        strand, (dot(normal, piece.strand.heading), up), fraction, (begin, end),
-        EndMovement(motion.ends, total, relative), cable.curvature,
-    )  # fmt: skip
-    finest, ball = finest_piece(piece.number, fraction), motion.relative_tracking
-    of_piece = largest
-    of_point = _of_all_shapes(cable, piece, up, finest, (total, relative))
-    by_tracking = _of_all_shapes(cable, piece, up, finest, (motion.tracking, ball))
-    if at_point < np.inf:
-        arc = strand.length * max(fraction - begin, end - fraction)
-        linear = movement(at_point, curvature, total, relative)
-        of_piece = min(of_piece, linear + movement_difference(per_arc, arc, relative))
-        of_point = min(of_point, linear)
-        by_tracking = min(by_tracking, movement(at_point, curvature, motion.tracking, ball))
-    return Movement(of_piece, of_point, by_tracking)
+    strand, motion, part = piece.strand.catenary, piece.end_motion, (piece.begin, piece.end)
+    longer, total = motion.longer, motion.total
+    up, fraction = -dot(normal, piece.strand.down), part[0] + along * (part[1] - part[0])
+    response = point_response(strand, (dot(normal, piece.strand.heading), up), fraction)
+    at_point, per_arc = first_order(strand, response, part, motion.ends)
+    arc = strand.length * max(fraction - part[0], part[1] - fraction)
+    moving = EndMovement(motion.ends, total, motion.relative, longer)
+    bent = curvature(strand, part, moving, cable.curvature)
+    of_piece, linear = largest, np.inf
+    if np.isfinite(at_point + bent):
+        linear = movement(at_point, bent, total, longer)
+        if gravity.angle > 0.0:
+            linear += gravity.angle * _response_per_angle(piece) * longer
+        of_piece = min(of_piece, linear + movement_difference(per_arc, arc, longer))
+    leaning = Leaning(0.0, 0.0, 0.0, (0.0, 0.0, 0.0))
+    if gravity.angle > 0.0:
+        leaning = Leaning(largest_lean(piece, gravity), np.inf, 0.0, (0.0, 0.0, 0.0))
+        if at_point < np.inf:
+            beyond = 0.5 * gravity.angle * gravity.angle * _per_square(piece)
+            along_piece = gravity.angle * arc * _turn_per_angle(piece, per_arc)
+            moment = _moment(piece.strand, normal, response, fraction)
+            leaning = Leaning(leaning.most, beyond, along_piece, moment)
+    return Movement(of_piece, linear, at_point, bent, fraction, up, leaning)
 
 
 @inner
-def largest_movement(cable: CableTables, piece: Piece, normal: Vector) -> float:
-    """Return a bound of a piece's movement by the sensitivity of all shapes alone.
+def point_movement(
+    cable: CableTables, piece: Piece, gravity: Gravity, moves: Movement
+) -> tuple[float, float, float]:
+    """Return bounds of the movement of the single point by the ends, which tell what to divide.
+
+    In all gravities of the box, in the one alone, and there by tracking errors alone.
+    """
+    strand, motion, part = piece.strand.catenary, piece.end_motion, (piece.begin, piece.end)
+    longer, total, ball = motion.longer, motion.total, motion.longer_tracking
+    still, finest = Gravity(gravity.down, 0.0, 0.0, 0.0), finest_piece(piece.number, moves.fraction)
+    up, at_point, bent = moves.up, moves.at_point, moves.bent
+    calm = _of_all_shapes(cable, piece, up, finest, (total, longer), still)
+    by_tracking = _of_all_shapes(cable, piece, up, finest, (motion.tracking, ball), still)
+    if gravity.angle > 0.0:
+        moving = EndMovement(motion.ends, total, longer, longer)
+        bent = curvature(strand, part, moving, cable.curvature)
+    if np.isfinite(at_point + bent):
+        calm = min(calm, movement(at_point, bent, total, longer))
+        by_tracking = min(by_tracking, movement(at_point, bent, motion.tracking, ball))
+    if gravity.angle == 0.0:
+        return calm, calm, by_tracking
+    point = _of_all_shapes(cable, piece, up, finest, (total, longer), gravity)
+    point = min(point, moves.linear)
+    # More than the angle can cause is due to time: ends that move little stay in their tables.
+    most = 2.0 * gravity.angle * (total + _response_per_angle(piece) * longer)
+    return point, max(calm, point - most), by_tracking
+
+
+@inner
+def relative(one: Leaning, other: Leaning) -> Leaning:
+    """Return the leaning of one strand relative to another."""
+    return Leaning(
+        one.most + other.most,
+        one.beyond + other.beyond,
+        one.along + other.along,
+        difference(one.moment, other.moment),
+    )
+
+
+@inner
+def lean(gravity: Gravity, leaning: Leaning) -> tuple[float, float, float, float]:
+    """Return the bound, and its parts by both parts of the tilt and by the piece's size.
+
+    A vector g has the largest product with a turn |g × down|, part by part of the tilt.
+    """
+    turning, whole = cross(leaning.moment, gravity.down), gravity.east + gravity.north
+    east, north = abs(turning[0]) * gravity.east, abs(turning[1]) * gravity.north
+    exact = leaning.beyond + east + north
+    if whole == 0.0 or not exact < leaning.most:
+        share = gravity.east / whole if whole > 0.0 else 0.0
+        return leaning.most, leaning.most * share, leaning.most * (1.0 - share), 0.0
+    share, bound = leaning.beyond / whole, min(exact + leaning.along, leaning.most)
+    return bound, east + share * gravity.east, north + share * gravity.north, bound - exact
+
+
+_PER_ANGLE, _PER_SQUARE = 1.02, (1.3, 0.68)
+"""Largest changes of points per radian of the gravity, and of second order.
+
+With ρ = chord / ℓ, b = ½√(ℓ² − chord²), the farthest that a point can be from its chord, and its
+elevation ε, they are these multiples of b / cos ε and of b / cos² ε. Measured for 14 ratios to
+0.995, 10 elevations and 9 directions, and enlarged by 2 to 10 %; tests search for more.
+"""
+
+_RESPONSE_PER_ANGLE, _TURN_PER_ANGLE = (0.45, 0.15), (1.3, 1.3, 0.7)
+"""The same of responses to ends and of the strand's direction, as multiples of 1 / cos ε."""
+
+
+@inner
+def _per_angle(piece: Piece) -> float:
+    """Return a bound of the movement of a strand's points per radian of its gravity, metres."""
+    bow, cosine = _bow_and_cosine(piece)
+    strand = piece.strand.catenary
+    # Near the vertical: a straight leg from either grip.
+    leg = 0.5 * (strand.length + math.hypot(strand.span, strand.rise))
+    return _PER_ANGLE * min(bow / max(cosine, 1e-9), leg)
+
+
+@inner
+def _per_square(piece: Piece) -> float:
+    """Return a bound of the second derivative of points by the angle of the gravity, metres."""
+    (bow, cosine), (whole, taut) = _bow_and_cosine(piece), _PER_SQUARE
+    # Slack strands that are steep change less than taut ones.
+    growth = min(1.0 / max(cosine, 1e-9), max(0.5 * taut * piece.strand.catenary.length / bow, 1.0))
+    return whole * bow * growth / max(cosine, 1e-9)
+
+
+@inner
+def _turn_per_angle(piece: Piece, per_arc: float) -> float:
+    """Return a bound of the turn of a strand's direction per radian of its gravity.
+
+    It turns with the gravity, and by at most ``per_arc`` as its ends turn back.
+    """
+    strand, (_, cosine) = piece.strand.catenary, _bow_and_cosine(piece)
+    chord = math.hypot(strand.span, strand.rise)
+    flat, bent, wide = _TURN_PER_ANGLE
+    measured = flat + bent * max(math.log(wide * strand.length / chord), 0.0)
+    return min(measured / max(cosine, 1e-9), 1.0 + per_arc * chord)
+
+
+@inner
+def _response_per_angle(piece: Piece) -> float:
+    """Return a bound of how much the response to one end changes per radian of the gravity."""
+    strand, (bow, cosine) = piece.strand.catenary, _bow_and_cosine(piece)
+    chord, (taut, slack) = math.hypot(strand.span, strand.rise), _RESPONSE_PER_ANGLE
+    length = strand.length
+    return (taut * 0.5 * length / bow + slack * length / chord) / max(cosine, 1e-9)
+
+
+@inner
+def _bow_and_cosine(piece: Piece) -> tuple[float, float]:
+    """Return ½√(ℓ² − chord²), and the smallest cosine of the chord's elevation, of a strand."""
+    strand = piece.strand.catenary
+    square = strand.span * strand.span + strand.rise * strand.rise
+    turned = piece.end_motion.relative - piece.end_motion.longer
+    sine = max_elevation_sine(strand.rise, strand.span, turned)
+    bow = 0.5 * math.sqrt(max(strand.length * strand.length - square, 0.0))
+    return bow, math.sqrt(max(1.0 - sine * sine, 0.0))
+
+
+@inner
+def _moment(strand: Strand, normal: Vector, response: PointResponse, fraction: float) -> Vector:
+    """Return g: a small turn of the gravity by a vector θ moves a point x by θ·g along a normal n.
+
+    The strand turns, and its ends p and q turn back: with B the derivative of x by q, and the chord
+    v = q − p, g = (x − p) × n − v × Bᵀn.
+    """
+    level, up, share = dot(normal, strand.heading), -dot(normal, strand.down), response.share
+    by_end = moved(times(share, normal), response.ahead - share * level, strand.heading)
+    by_end = moved(by_end, share * up - response.up, strand.down)
+    chord = moved(times(-strand.catenary.rise, strand.down), strand.catenary.span, strand.heading)
+    along = difference(strand_point(strand, fraction), strand.start)
+    return difference(cross(along, normal), cross(chord, by_end))
+
+
+@inner
+def largest_movement(cable: CableTables, piece: Piece, normal: Vector, gravity: Gravity) -> float:
+    """Return a bound of a piece's movement by its ends, by the sensitivity of all shapes alone.
 
     It is not below that of :func:`piece_movement`, and takes a fraction of its time.
     """
-    motion = piece.end_motion
-    up, moved_by = -dot(normal, cable.down), (motion.total, motion.relative)
-    return _of_all_shapes(cable, piece, up, piece.number, moved_by)
+    motion, up = piece.end_motion, -dot(normal, piece.strand.down)
+    moved_by = motion.total, motion.longer
+    return _of_all_shapes(cable, piece, up, piece.number, moved_by, gravity)
+
+
+@inner
+def largest_lean(piece: Piece, gravity: Gravity) -> float:
+    """Return a bound of a piece's movement by other gravities, in any direction."""
+    return 0.0 if gravity.angle == 0.0 else gravity.angle * _per_angle(piece)
+
+
+@inner
+def kept_from_plane(
+    cable: CableTables,
+    piece: Piece,
+    normal: Vector,
+    here: float,
+    gravity: Gravity,
+) -> tuple[float, float, tuple[float, float, float, float]]:
+    """Return bounds of how far a piece reaches along a unit vector at least, from 0, in wind.
+
+    The lower bound of all its points, the reach about where its chord has the fraction ``here``,
+    and what time, both parts of the tilt, and the piece's size add to the uncertainty.
+    """
+    largest, swing = largest_movement(cable, piece, normal, gravity), piece.swing
+    moves = piece_movement(cable, piece, normal, here, gravity, largest)
+    near, far = dot(piece.near, normal), dot(piece.far, normal)
+    leans, east, north, along = lean(gravity, moves.leaning)
+    point, calm, by_tracking = point_movement(cable, piece, gravity, moves)
+    low = min(near, far) - piece.bow - moves.piece - leans - swing.most
+    high = near + here * (far - near) + piece.bow - by_tracking - swing.least
+    in_time, rest = calm - by_tracking + (swing.most - swing.now), point - calm
+    size = max(high - low - in_time - (leans - along) - rest, 0.0)
+    return low, high, (in_time, east + 0.5 * rest, north + 0.5 * rest, size)
 
 
 @inner
 def _of_all_shapes(
-    cable: CableTables, piece: Piece, up: float, number: int, moved_by: tuple[float, float]
+    cable: CableTables,
+    piece: Piece,
+    up: float,
+    number: int,
+    moved_by: tuple[float, float],
+    gravity: Gravity,
 ) -> float:
     """Return a bound of the movement of the piece with a heap number, within the given piece.
 
-    The ends move by a size, and relative to each other; ``up`` is the part of a unit vector against
-    the effective gravity.
+    The ends move by a size, and their chord grows by another; ``up`` is the part of a unit vector
+    against the effective gravity.
     """
-    (by, apart), strand = moved_by, piece.strand.catenary
-    steep = max_elevation_sine(strand.rise, strand.span, piece.end_motion.relative)
-    ratio = math.hypot(strand.span, strand.rise) / strand.length
+    (by, longer), strand, motion = moved_by, piece.strand.catenary, piece.end_motion
+    chord = math.hypot(strand.span, strand.rise)
+    turned = motion.longer + gravity.angle * chord
+    steep, ratio = max_elevation_sine(strand.rise, strand.span, turned), chord / strand.length
     level, rising = movement_bound(
         cable.sensitivity, elevation_class(steep), piece.end_motion.ends, number,
-        ratio_range(ratio, apart / strand.length),
+        ratio_range(ratio, longer / strand.length),
     )  # fmt: skip
     upright = min(abs(up), 1.0)
-    return (math.sqrt(1.0 - upright * upright) * level + upright * rising) * by
+    across = min(math.sqrt(1.0 - upright * upright) + gravity.angle, 1.0)
+    return (across * level + min(upright + gravity.angle, 1.0) * rising) * by
+
+
+@inner
+def is_bounded(gravity: Gravity) -> bool:
+    """Return whether there are gravities in a box, and their angles are bounded."""
+    return 0.0 <= gravity.angle < np.inf
+
+
+@inner
+def write_unbounded(gravity: Gravity, b: int, found: EnclosureArrays) -> None:
+    """Write that a box has to be halved, unless there is no gravity in it at all."""
+    if gravity.angle >= 0.0:
+        found.low[b] = -np.inf
+        found.doubts[b, 1] = found.doubts[b, 2] = np.inf

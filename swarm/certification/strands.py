@@ -3,7 +3,8 @@
 For a box (two strands, an interval of time, a piece of each) both pieces at the middle instant lie
 near their chords. A unit vector n that separates the chords also separates the displaced pieces,
 less their movement along n: the bow of each piece over its chord, the movement of its grip points
-(:mod:`.strand_pieces`), and the radius of the tube in which it swings (:mod:`.swing_tube`).
+and by other gravities (:mod:`.strand_pieces`), and the radius of the tube in which it swings
+(:mod:`.swing_tube`).
 """
 
 from dataclasses import dataclass
@@ -17,21 +18,29 @@ from swarm.certification.branch_and_bound import (
     Boxes,
     Enclosure,
     EnclosureArrays,
-    same_instant,
+    same_in,
 )
 from swarm.certification.motion_bounds import Grip, Instant, ends_at, grip_at, instant_at
 from swarm.certification.strand_pieces import (
     CableTables,
     Displacement,
+    Gravity,
     HeldCable,
     HeldStrand,
     Part,
     Piece,
     counted,
+    gravity_in,
     held_piece,
     held_strand,
+    is_bounded,
+    largest_lean,
     largest_movement,
+    lean,
     piece_movement,
+    point_movement,
+    relative,
+    write_unbounded,
 )
 from swarm.geometry.distance import segment_distance
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
@@ -66,7 +75,7 @@ class StrandPairs:
     required: float
 
     def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box; coordinates are time and both fractions."""
+        """Enclose the margin in each box; coordinates are time, in wind tilt, and fractions."""
         found = Enclosure.not_found(boxes)
         pairs = _Pairs(contiguous(self.pairs), contiguous(self.parts))
         required = self.diameter + self.required
@@ -84,24 +93,33 @@ def _write_margins(
 
     Half of the time goes into the strands at an instant, which boxes one after the other share.
     """
-    known = -1
+    known, k = -1, boxes.middle.shape[1] - 2
     for b in range(len(boxes.group)):
         middle, half, parts = boxes.middle[b], boxes.half[b], pairs.parts[boxes.group[b]]
-        part = Part(middle[1], half[1], parts[0, 0], parts[0, 1])
-        other_part = Part(middle[2], half[2], parts[1, 0], parts[1, 1])
+        part = Part(middle[k], half[k], parts[0, 0], parts[0, 1])
+        other_part = Part(middle[k + 1], half[k + 1], parts[1, 0], parts[1, 1])
         (begin, end), (other_begin, other_end) = counted(part), counted(other_part)
         if begin >= end or other_begin >= other_end:
             continue
-        if known < 0 or not same_instant(boxes, known, b):
+        if known < 0 or not same_in(boxes, known, b, k):
             known, instant = b, instant_at(cable.motion, middle[0], half[0])
-            held, other_held = _held_pair(cable, pairs.segments[boxes.group[b]], instant)
+            gravity = gravity_in(cable, middle, half)
+            if is_bounded(gravity):
+                pair = pairs.segments[boxes.group[b]]
+                held, other_held = _held_pair(cable, pair, instant, gravity)
+        if not is_bounded(gravity):
+            write_unbounded(gravity, b, found)
+            continue
         one = held_piece(cable, held, instant, part)
         other = held_piece(cable, other_held, instant, other_part)
-        _write_margin(cable, (one, other), (required, boxes.enough), chords, b, found)
+        limits = required, boxes.enough
+        _write_margin(cable, (one, other), limits, gravity, chords, b, found)
 
 
 @inner
-def _held_pair(cable: CableTables, pair: Ints, instant: Instant) -> tuple[HeldStrand, HeldStrand]:
+def _held_pair(
+    cable: CableTables, pair: Ints, instant: Instant, gravity: Gravity
+) -> tuple[HeldStrand, HeldStrand]:
     """Return the strands of two segments (2,) at an instant."""
     first, second = pair
     grips = ends_at(cable.motion, instant, first)
@@ -114,8 +132,8 @@ def _held_pair(cable: CableTables, pair: Ints, instant: Instant) -> tuple[HeldSt
     moves = _displacement(cable.tracking, grips, others, ends)
     other_moves = _displacement(cable.tracking, grips, others, other_ends)
     return (
-        held_strand(cable, first, grips, instant, moves),
-        held_strand(cable, second, others, instant, other_moves),
+        held_strand(cable, first, grips, instant, moves, gravity),
+        held_strand(cable, second, others, instant, other_moves, gravity),
     )
 
 
@@ -151,6 +169,7 @@ def _write_margin(
     cable: CableTables,
     pieces: tuple[Piece, Piece],
     limits: tuple[float, float],
+    gravity: Gravity,
     chords: Floats,
     b: int,
     found: EnclosureArrays,
@@ -172,24 +191,38 @@ def _write_margin(
     reach_other = max(dot(other.near, normal), dot(other.far, normal))
     swing, swing_other, bows = one.swing, other.swing, one.bow + other.bow
     chords_apart = reach - reach_other - bows
-    largest = largest_movement(cable, one, normal)
-    largest_other = largest_movement(cable, other, normal)
+    largest = largest_movement(cable, one, normal, gravity)
+    largest_other = largest_movement(cable, other, normal, gravity)
     most = largest + largest_other + swing.most + swing_other.most
+    most += largest_lean(one, gravity) + largest_lean(other, gravity)
     found.low[b] = chords_apart - most - required
     if found.low[b] >= enough:
         return
-    moves = piece_movement(cable, one, normal, here, largest)
-    moves_other = piece_movement(cable, other, normal, there, largest_other)
-    most = moves.piece + moves_other.piece + swing.most + swing_other.most
-    least = moves.tracking + moves_other.tracking + swing.least + swing_other.least
+    moves = piece_movement(cable, one, normal, here, gravity, largest)
+    moves_other = piece_movement(cable, other, normal, there, gravity, largest_other)
+    leans, east, north, along = lean(gravity, relative(moves.leaning, moves_other.leaning))
+    most = moves.piece + moves_other.piece + swing.most + swing_other.most + leans
     found.low[b] = chords_apart - most - required
+    if found.low[b] >= enough:
+        return
+    point, calm, by_tracking = point_movement(cable, one, gravity, moves)
+    other_point, other_calm, other_by_tracking = point_movement(cable, other, gravity, moves_other)
+    least = by_tracking + other_by_tracking + swing.least + swing_other.least
     found.high[b] = np.sqrt(square) + bows - least - required
-    in_time = moves.point - moves.tracking + moves_other.point - moves_other.tracking
+    in_time = calm - by_tracking + other_calm - other_by_tracking
     found.doubts[b, 0] = in_time + (swing.most - swing.now) + (swing_other.most - swing_other.now)
-    found.doubts[b, 1] = 2.0 * one.bow + moves.piece - moves.point + (swing.now - swing.least)
-    found.doubts[b, 2] = (
-        2.0 * other.bow + moves_other.piece - moves_other.point
+    k = found.doubts.shape[1] - 2
+    if k > 1:
+        rest = point - calm + other_point - other_calm
+        found.doubts[b, 1], found.doubts[b, 2] = east + 0.5 * rest, north + 0.5 * rest
+    found.doubts[b, k] = 2.0 * one.bow + moves.piece - point + (swing.now - swing.least)
+    found.doubts[b, k + 1] = (
+        2.0 * other.bow + moves_other.piece - other_point
         + (swing_other.now - swing_other.least)
     )  # fmt: skip
+    if along > 0.0:
+        share = moves.leaning.along / (moves.leaning.along + moves_other.leaning.along)
+        found.doubts[b, k] += share * along
+        found.doubts[b, k + 1] += (1.0 - share) * along
     for axis in range(3):
         found.place[b, axis] = 0.5 * (at_one[axis] + at_other[axis])

@@ -179,24 +179,13 @@ def max_drop_below_ends(start: Floats, end: Floats, length: float, moved: float)
 
 
 @inner
-def max_depth(ends: tuple[Floats, Floats], down: Floats, length: float, moved: float) -> float:
-    """Return an upper bound of how far a strand is below its chord along ``down`` (3,).
+def max_depth(chord: float, rise: float, length: float) -> float:
+    """Return an upper bound of how far a strand is below its chord, along its gravity.
 
-    Each end moves by up to ``moved`` metres. It is at most d below its lower end, with length² ≥
-    span² + (2d + rise)², and its chord at most the rise above that end; span and rise are across
-    and along ``down``.
+    Its chord is at least ``chord`` and rises by at most ``rise`` metres. It is at most d below its
+    lower end, with length² ≥ span² + (2d + rise)², and its chord at most the rise above that end.
     """
-    start, end = ends
-    square = along = 0.0
-    for axis in range(3):
-        step = end[axis] - start[axis]
-        square += step * step
-        along += step * down[axis]
-    span = max(math.sqrt(max(square - along * along, 0.0)) - 2.0 * moved, 0.0)
-    rise = abs(along)
-    least = max(rise - 2.0 * moved, 0.0)
-    below = max(0.5 * (math.sqrt(max(length**2 - span**2, 0.0)) - least), 0.0)
-    return below + rise + 2.0 * moved
+    return 0.5 * (math.sqrt(max(length**2 - chord**2 + rise**2, 0.0)) + rise)
 
 
 @inner

@@ -152,9 +152,10 @@ def _responses(
         length, parameter, slope, span, rise = strands[:, k]
         along, up, fraction, begin, end, stretch = points[:, k]
         strand = Catenary(length, parameter, slope, span, rise)
-        moved = EndMovement(ends[k], np.inf, stretch)
+        moved = EndMovement(ends[k], np.inf, stretch, stretch)
+        point = point_response(strand, (along, up), fraction)
         found[0, k], found[1, k], found[2, k] = strand_response(
-            strand, (along, up), fraction, (begin, end), moved, table
+            strand, point, (begin, end), moved, table
         )
 
 
@@ -210,21 +211,33 @@ def point_response(strand: Catenary, normal: tuple[float, float], fraction: floa
 @inner
 def strand_response(
     strand: Catenary,
-    normal: tuple[float, float],
-    fraction: float,
+    point: PointResponse,
     piece: tuple[float, float],
     moved: EndMovement,
     table: Floats,
 ) -> tuple[float, float, float]:
     """Return :func:`linear_response` of one strand: at the point, per arc, and curvature.
 
-    ``normal`` holds the parts of a unit vector along the strand's heading and upward, ``table`` is
-    :func:`curvature_table`. All are infinite where the response is not known.
+    ``table`` is :func:`curvature_table`. All are infinite where the response is not known.
+    """
+    at_point, per_arc = first_order(strand, point, piece, moved.ends)
+    bent = curvature(strand, piece, moved, table)
+    if np.isfinite(at_point + bent):
+        return at_point, per_arc, bent
+    return np.inf, np.inf, np.inf
+
+
+@inner
+def first_order(
+    strand: Catenary, point: PointResponse, piece: tuple[float, float], ends: int
+) -> tuple[float, float]:
+    """Return the first order of :func:`strand_response`: at the point, and per arc.
+
+    Infinite where the response is not known.
     """
     turn = strand.length / strand.parameter
-    point = point_response(strand, normal, fraction)
-    at_point = point.by_end if moved.ends == FAR_END else point.by_start
-    if moved.ends == BOTH_ENDS:
+    at_point = point.by_end if ends == FAR_END else point.by_start
+    if ends == BOTH_ENDS:
         at_point = point.by_start + point.by_end
     trace, determinant = point.trace, point.determinant
     softest = 0.5 * (trace + np.sqrt(max(trace * trace - 4.0 * determinant, 0.0)))
@@ -234,21 +247,21 @@ def strand_response(
     per_arc = max(
         softest / determinant / (strand.parameter * flattest), 1.0 / (strand.span * flattest)
     )
-    curvature = _curvature(strand, piece, moved.relative, table)
-    if determinant > DEGENERATE and np.isfinite(at_point + per_arc + curvature):
-        return at_point, per_arc, curvature
-    return np.inf, np.inf, np.inf
+    if determinant > DEGENERATE and np.isfinite(at_point + per_arc):
+        return at_point, per_arc
+    return np.inf, np.inf
 
 
 @inner
-def _curvature(
-    strand: Catenary, piece: tuple[float, float], stretch: float, table: Floats
+def curvature(
+    strand: Catenary, piece: tuple[float, float], moved: EndMovement, table: Floats
 ) -> float:
-    """Return an upper bound of M of a piece while one end moves by ``stretch`` to the other.
+    """Return an upper bound of M of a piece while its ends move relative to each other.
 
     The remainder is ∫(1 − t)·G²·M(t) over the movement, t from 0 to 1: the first steps weigh most,
     when the strand is not yet as taut as at the end.
     """
+    stretch = moved.relative
     if strand.span - stretch <= _SHORTEST_SPAN * strand.length:
         return np.inf
     first = find_class(min_elevation_sine(strand.rise, strand.span, stretch), _SINES)
@@ -258,8 +271,9 @@ def _curvature(
     chord = np.sqrt(strand.span * strand.span + strand.rise * strand.rise)
     mean = 0.0
     for step in range(_STEPS):
-        reach = stretch * (step + 1) / _STEPS
-        ratio, narrowest = (chord + reach) / strand.length, strand.span - reach
+        share = (step + 1) / _STEPS
+        reach, longer = stretch * share, moved.longer * share
+        ratio, narrowest = (chord + longer) / strand.length, strand.span - reach
         if not ratio < LARGEST_RATIO:
             return np.inf
         column = min(int(np.floor(np.log1p(-ratio) * _COLUMNS)), _BINS - 1)

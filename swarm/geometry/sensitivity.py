@@ -59,18 +59,21 @@ FINEST = 2**_DEPTH
 class EndMovement(NamedTuple):
     """Which ends of a strand move (BOTH_ENDS, FAR_END or NEAR_END), and bounds of how far, metres.
 
-    ``size`` of each end, ``relative`` of one end relative to the other.
+    ``size`` of each end, ``relative`` of one end relative to the other, ``longer`` of the chord's
+    growth, which is not more.
     """
 
     ends: int
     size: float
     relative: float
+    longer: float
 
 
 @inner
 def error_of_ends(ends: int, size: float) -> EndMovement:
     """Return the movement of ends by up to ``size`` metres in any directions."""
-    return EndMovement(ends, size, 2.0 * size if ends == BOTH_ENDS else size)
+    relative = 2.0 * size if ends == BOTH_ENDS else size
+    return EndMovement(ends, size, relative, relative)
 
 
 class Sensitivity(NamedTuple):

@@ -26,6 +26,16 @@ def dot(one: Vector, other: Vector) -> float:
 
 
 @inner
+def cross(one: Vector, other: Vector) -> Vector:
+    """Return the vector product of two vectors."""
+    return (
+        one[1] * other[2] - one[2] * other[1],
+        one[2] * other[0] - one[0] * other[2],
+        one[0] * other[1] - one[1] * other[0],
+    )
+
+
+@inner
 def times(share: float, vector: Vector) -> Vector:
     """Return a multiple of a vector."""
     return share * vector[0], share * vector[1], share * vector[2]

@@ -42,7 +42,7 @@ def measure(plan: Plan) -> None:
     started = time.process_time()
     assessment = assess(plan)
     print(f"  all checks {time.process_time() - started:7.2f} s   cleared: {assessment.cleared}")
-    for family in families(plan, plan.mission.vehicles.tracking, (0.0, 0.0, -1.0)):
+    for family in families(plan, plan.mission.vehicles.tracking):
         started = time.process_time()
         count = len(family.names)
         found = smallest(family.evaluate, count, family.roots())

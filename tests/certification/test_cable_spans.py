@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from swarm.certification.air import wind_down
+from swarm.certification.air import wind_tilt
 from swarm.certification.assess import assess
 from swarm.certification.cable_spans import cable_spans
 from swarm.certification.clearances import (
-    STILL_AIR,
     certified,
     tightest_moments,
     violations,
@@ -254,13 +253,13 @@ def test_cable_that_the_wind_moves_over_the_fence_is_refused():
 def test_in_wind_brute_force_never_finds_cable_nearer_to_the_fence_than_certified(speed):
     rng = np.random.default_rng(5)
     plan = in_wind(4.6, speed)
-    down = wind_down(plan, speed, np.pi / 2) if speed else STILL_AIR
-    moments = tightest_moments(plan, checks=("fence",), down=down)
+    tilt = wind_tilt(plan, speed)
+    moments = tightest_moments(plan, checks=("fence",), tilt=tilt)
     (moment,) = [m for m in moments if m.between[0] == "segment 1"]
     places = displaced(
         rng, np.repeat(plan.motion.at(np.linspace(0.0, 8.0, 50))[0], 40, axis=0), 0.05
     )
-    strands = solve_catenaries(places[:, 0], places[:, 1], 4.0, down=down).points(
+    strands = solve_catenaries(places[:, 0], places[:, 1], 4.0, down=(0.0, tilt, -1.0)).points(
         np.linspace(0.0, 1.0, 201)
     )
     sampled = (4.6 - strands[..., 1] - 0.003).min()
@@ -299,7 +298,7 @@ def test_the_scope_states_grip_release_and_exempt_length(overhand, overhand_asse
 def test_certified_agrees_with_the_findings_for_whole_flights(overhand):
     """Standing on the floor and rigid descents have the smallest margins."""
     assert certified(overhand, tracking=0.1)
-    assert certified(overhand, tracking=0.1, down=wind_down(overhand, 1.0, 0.0))
+    assert certified(overhand, tracking=0.1, tilt=wind_tilt(overhand, 1.0))
     high, low = np.add(ABOVE, [0.0, 0.0, 4.0]), np.array(ABOVE)
     plan = plan_of(moving([0.0, 2.0, 14.0], [high, high, low]), LENGTHS)
     phases = (

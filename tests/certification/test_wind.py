@@ -1,0 +1,150 @@
+"""Clearances in every steady wind up to a speed, against catenaries that share no code."""
+
+import math
+
+import numpy as np
+import pytest
+
+from swarm.certification import strand_pieces as pieces
+from swarm.certification.air import wind_tilt
+from swarm.certification.clearances import families, tightest_moments
+from swarm.certification.robustness import failure_in_wind, largest_wind
+from swarm.geometry.catenary import solve_catenaries
+from swarm.geometry.catenary_kernel import Catenary
+from tests.certification.oracle import catenary, closest, displaced
+from tests.certification.synthetic import moving, plan_of
+
+UNEVEN = [
+    [-2.407, 0.0, 14.0], [2.407, 0.0, 14.0], [3.994, 0.611, 12.082], [-3.664, 0.553, 11.643],
+]  # fmt: skip
+"""A long strand that hangs deep beside a short one that hangs flat, in other planes."""
+UNEVEN_LENGTHS = [9.118, 3.159, 8.250]
+
+
+def uneven():
+    return plan_of(moving([0.0, 1.0], [UNEVEN, UNEVEN]), UNEVEN_LENGTHS)
+
+
+def leaning(start, end, length, down):
+    """Strands (k, 60, 3) between ends (k, 3) in gravities (k, 3), in a frame that is turned."""
+    up = -down / np.linalg.norm(down, axis=-1, keepdims=True)
+    east = np.cross([0.0, 1.0, 0.0], up)
+    east /= np.linalg.norm(east, axis=-1, keepdims=True)
+    turn = np.stack([east, np.cross(up, east), up], axis=1)
+    found = catenary(*(np.einsum("kij,kj->ki", turn, p) for p in (start, end)), length)
+    return np.einsum("kji,kfj->kfi", turn, found)
+
+
+def nearest_in_winds(plan, speed, pair, count=4000):
+    """The smallest distance of two strands found in random winds, times and tracking errors."""
+    rng = np.random.default_rng(3)
+    share, heading = np.sqrt(rng.uniform(size=count)), rng.uniform(0.0, 2.0 * np.pi, count)
+    share[::4] = 1.0
+    tilt = share * wind_tilt(plan, speed)
+    down = np.stack([tilt * np.cos(heading), tilt * np.sin(heading), np.full(count, -1.0)], axis=1)
+    time = rng.uniform(plan.motion.times[0], plan.motion.times[-1], count)
+    place = displaced(rng, plan.motion.at(time)[0], plan.mission.vehicles.tracking)
+    one, other = (leaning(place[:, k], place[:, k + 1], plan.layout.lengths[k], down) for k in pair)
+    return closest(one, other).min() - plan.mission.cable.diameter
+
+
+def test_a_wind_is_refused_where_a_weaker_one_blows_strands_together():
+    """At 4.63 m/s both hang to one side, far apart; at 2.81 m/s they touch."""
+    plan = uneven()
+    assert failure_in_wind(plan, 0.0) is None
+    assert failure_in_wind(plan, 2.8093) is not None
+    assert failure_in_wind(plan, 4.6318) is not None
+    most = largest_wind(plan, tightest_moments(plan))
+    assert 0.5 < most < 2.8093
+    assert nearest_in_winds(plan, most, (0, 2)) >= plan.mission.clearance.cable
+    assert nearest_in_winds(plan, 2.8093, (0, 2)) < plan.mission.clearance.cable
+
+
+def test_in_no_wind_up_to_the_certified_one_strands_come_nearer_than_required():
+    """Strands that pass each other, so that time, tilt and errors count together."""
+    far = [[-30, 30, 60], [-30, -30, 60]]
+    before = [[0.0, -1.5, 60.0], [0.0, 1.5, 60.0], *far, [-1.6, -0.3, 61.3], [1.4, 0.4, 61.0]]
+    after = [[0.4, -1.5, 60.2], [0.3, 1.4, 60.0], *far, [-1.2, 0.4, 61.0], [1.7, -0.3, 61.4]]
+    plan = plan_of(moving([0.0, 3.0], [before, after]), [3.8, 50.0, 66.0, 50.0, 3.6])
+    pair, most = (0, 4), largest_wind(plan, tightest_moments(plan))
+    assert most is not None
+    assert most > 1.0
+    assert nearest_in_winds(plan, most, pair) >= plan.mission.clearance.cable
+    assert failure_in_wind(plan, most) is None
+    assert failure_in_wind(plan, 0.3 * most) is None
+
+
+@pytest.mark.parametrize("speed", [1.5, 4.0])
+def test_a_wind_of_one_direction_leans_no_strand_beyond_the_bounds(speed):
+    """Distances of single boxes of tilts are lower bounds, and close to those in one gravity."""
+    plan, rng = uneven(), np.random.default_rng(7)
+    tilt = wind_tilt(plan, speed)
+    windy = families(plan, plan.mission.vehicles.tracking, tilt)
+    family = next(one for one in windy if one.check == "cable clearance")
+    boxes = family.roots()
+    boxes = boxes.taken(np.zeros(200, dtype=np.intp))
+    boxes.half[:, 1:3] = 0.5 ** rng.integers(1, 6, (200, 1))
+    boxes.middle[:, 1:3] = rng.uniform(-0.7, 0.7, (200, 2))
+    boxes.half[:, 3:], boxes.middle[:, 3:] = 1 / 32, (2 * rng.integers(0, 16, (200, 2)) + 1) / 32
+    low, (first, second) = family.evaluate(boxes).low, family.evaluate.pairs[0]
+    place = np.array(UNEVEN)
+    for k in np.flatnonzero(np.isfinite(low)):
+        inside = boxes.middle[k, 1:3] + rng.uniform(-1, 1, (60, 2)) * boxes.half[k, 1:3]
+        inside = inside[np.hypot(*inside.T) <= 1.0]
+        if not len(inside):
+            continue
+        down = np.column_stack([tilt * inside, np.full(len(inside), -1.0)])
+        near = []
+        for segment, at in ((first, 3), (second, 4)):
+            f = boxes.middle[k, at] + np.linspace(-1, 1, 9) * boxes.half[k, at]
+            start, end = displaced(rng, np.broadcast_to(place[segment : segment + 2][:, None],
+                                   (2, len(inside), 3)), plan.mission.vehicles.tracking)  # fmt: skip
+            near.append(solve_catenaries(start, end, UNEVEN_LENGTHS[segment], down=down).points(f))
+        required = plan.mission.clearance.cable + plan.mission.cable.diameter
+        assert closest(*near).min() - required >= low[k]
+
+
+def test_strands_lean_by_no_more_than_the_measured_laws_say():
+    """Points, their second order, responses to ends and directions, for random shapes and turns."""
+    rng, count, step = np.random.default_rng(11), 300, 3e-4
+    ratio = np.concatenate([rng.uniform(0.05, 0.985, count - 100), rng.uniform(0.9, 0.985, 100)])
+    steep = np.radians(rng.uniform(-80.0, 80.0, count))
+    end = ratio[:, None] * np.stack([np.cos(steep), 0.0 * steep, np.sin(steep)], axis=1)
+    axis = rng.uniform(0.0, np.pi, count)
+    fractions = np.linspace(0.0, 1.0, 801)
+
+    def points(turn, moved=0.0):
+        down = np.stack([-np.sin(axis) * np.sin(turn), np.cos(axis) * np.sin(turn),
+                         np.full(count, -np.cos(turn))], axis=1)  # fmt: skip
+        return solve_catenaries(np.zeros(3), end + moved, np.ones(count), down=down).points(
+            fractions
+        )
+
+    def response(turn):
+        along = 1e-5 * np.eye(3)
+        columns = [(points(turn, d) - points(turn, -d)) / 2e-5 for d in along]
+        return np.stack(columns, axis=-1)
+
+    back, still, ahead = points(-step), points(0.0), points(step)
+    first = (ahead - back) / (2.0 * step)
+    second = np.linalg.norm((ahead - 2.0 * still + back) / step**2, axis=-1).max(axis=1)
+    direction = np.linalg.norm(np.diff(first, axis=1), axis=-1).max(axis=1) * 800
+    change = np.linalg.norm(response(step) - response(-step), ord=2, axis=(-2, -1)).max(axis=1)
+    first = np.linalg.norm(first, axis=-1).max(axis=1)
+    strands = solve_catenaries(np.zeros(3), end, np.ones(count))
+    bounds = []
+    for k in range(count):
+        figures = (strands.length, strands.parameter, strands.slope, strands.span, strands.rise)
+        shape = Catenary(*(float(figure[k]) for figure in figures))
+        strand = pieces.Strand((0.0,) * 3, (0.0, 0.0, -1.0), (1.0, 0.0, 0.0), shape, (0.0,) * 3)
+        motion = pieces._EndMotion(0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        radii = pieces.Radii(0.0, 0.0, 0.0)
+        piece = pieces.Piece(strand, 0.0, 1.0, 1, (0.0,) * 3, (0.0,) * 3, 0.0, motion, radii)
+        bounds.append([
+            pieces._per_angle(piece), pieces._per_square(piece), pieces._response_per_angle(piece),
+            pieces._turn_per_angle(piece, math.inf),
+        ])  # fmt: skip
+    measured = np.stack([first, second, change / (2.0 * step), direction], axis=1)
+    share = (measured / np.array(bounds)).max(axis=0)
+    assert (share <= 1.0).all(), share
+    assert (share >= 0.7).all(), "the laws are not sharp"
