@@ -59,6 +59,9 @@ _PROJECTIONS = 6
 """Alternating projections between chord and body. Any direction gives a true bound; more
 projections sharpen it, and the search halves boxes where it is not sharp enough."""
 
+_CLOSE, _MOST_PROJECTIONS = 1e-3, 50
+"""Metres between both bounds of a single distance, and projections for it at most."""
+
 
 @dataclass(frozen=True, eq=False)
 class VehiclePairs:
@@ -234,16 +237,46 @@ def _closest(near: Vector, far: Vector, body: Body, tip: float) -> tuple[float, 
 
     The fraction of the chord, the point on the chord, and that on the body.
     """
+    along, at_strand, at_body = _nearer(near, far, body, tip, (0.0, 0.0, body.grip_offset))
+    for _ in range(_PROJECTIONS - 1):
+        along, at_strand, at_body = _nearer(near, far, body, tip, at_body)
+    return along, at_strand, at_body
+
+
+@inner
+def _nearer(
+    near: Vector, far: Vector, body: Body, tip: float, at_body: Vector
+) -> tuple[float, Vector, Vector]:
+    """Return the closest point of a chord to one of a body, and the body's closest to that.
+
+    As :func:`_closest`.
+    """
     (x, y, z), (east, north, up) = near, difference(far, near)
     square = east * east + north * north + up * up
-    along, at_strand, at_body = 0.0, near, (0.0, 0.0, body.grip_offset)
-    for _ in range(_PROJECTIONS):
-        ahead = east * (at_body[0] - x) + north * (at_body[1] - y) + up * (at_body[2] - z)
-        if square > 0.0:
-            along = min(max(ahead / square, 0.0), 1.0)
-        at_strand = moved(near, along, (east, north, up))
-        at_body = _project(at_strand, tip, body)
-    return along, at_strand, at_body
+    ahead = east * (at_body[0] - x) + north * (at_body[1] - y) + up * (at_body[2] - z)
+    along = min(max(ahead / square, 0.0), 1.0) if square > 0.0 else 0.0
+    at_strand = moved(near, along, (east, north, up))
+    return along, at_strand, _project(at_strand, tip, body)
+
+
+@inner
+def body_distance(
+    near: Vector, far: Vector, body: Body, tip: float, enough: float
+) -> tuple[float, float]:
+    """Return bounds of the distance of a chord from a body, from below and from above.
+
+    They are less than a millimetre apart, or the lower one is ``enough``, or after many projections
+    touching bodies are still told apart by less than that.
+    """
+    at_body, low, high = (0.0, 0.0, body.grip_offset), 0.0, np.inf
+    for _ in range(_MOST_PROJECTIONS):
+        _, at_strand, at_body = _nearer(near, far, body, tip, at_body)
+        apart = difference(at_strand, at_body)
+        normal, high = unit(apart), size(apart)
+        low = max(low, min(dot(near, normal), dot(far, normal)) - _support(body, normal, tip))
+        if low >= enough or high - low < _CLOSE:
+            break
+    return low, high
 
 
 @inner

@@ -1,8 +1,9 @@
-"""Coarse distances of strands, by boxes and by points, before exact ones are computed; compiled."""
+"""Coarse distances of strands and bodies, by boxes, before exact ones are computed; compiled."""
 
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.bodies import Body
 from swarm.geometry.catenary_kernel import max_drop_below_ends
 from swarm.jit import inner
 
@@ -40,12 +41,23 @@ def box_distance(
 
 
 @inner
-def squared_point_distance(first: Floats, second: Floats) -> float:
-    """Return the square of the smallest distance between the points (k, 3) of two strands."""
-    least = np.inf
-    for i in range(len(first)):
-        x, y, z = first[i, 0], first[i, 1], first[i, 2]
-        for j in range(len(second)):
-            square = (second[j, 0] - x) ** 2 + (second[j, 1] - y) ** 2 + (second[j, 2] - z) ** 2
-            least = min(least, square)
-    return float(least)
+def body_box_distance(
+    grips: Floats, lengths: Floats, pair: tuple[int, int], moved: tuple[float, float], body: Body
+) -> float:
+    """Return the distance of the axis-aligned boxes around a strand and a vehicle's body, metres.
+
+    ``pair`` are the vehicle and the segment; the strand's ends and the vehicle move by up to
+    ``moved``.
+    """
+    k, i = pair
+    square, (of_ends, of_body) = 0.0, moved
+    for axis in range(3):
+        low = min(grips[i, axis], grips[i + 1, axis]) - of_ends
+        high = max(grips[i, axis], grips[i + 1, axis]) + of_ends
+        aside, above = (body.radius, body.radius) if axis < 2 else (0.0, body.grip_offset)
+        if axis == 2:
+            low -= max_drop_below_ends(grips[i], grips[i + 1], lengths[i], of_ends)
+        beside = low - grips[k, axis] - above, grips[k, axis] - aside - high
+        gap = max(beside[0] - of_body, beside[1] - of_body, 0.0)
+        square += gap * gap
+    return float(np.sqrt(square))

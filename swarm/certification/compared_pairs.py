@@ -22,6 +22,13 @@ def exempt_length(plan: Plan) -> float:
     return 4.0 * (mission.clearance.cable + mission.cable.diameter + mission.vehicles.tracking)
 
 
+def exempt_lengths(lengths: Floats, beyond: float) -> Floats:
+    """Return the exempt lengths (n − 2,) on either side of the inner vehicles, metres."""
+    shorter = np.minimum(lengths[:-1], lengths[1:])
+    found: Floats = np.minimum(beyond, MOST_EXEMPT * shorter)
+    return found
+
+
 def all_pairs(lengths: Floats, beyond: float) -> tuple[Ints, Floats]:
     """Return all pairs (q, 2) of segments to compare, and the compared parts (q, 2, 2).
 
@@ -35,7 +42,7 @@ def all_pairs(lengths: Floats, beyond: float) -> tuple[Ints, Floats]:
     neighbours = second == first + 1
     i, j = pairs[neighbours].T
     left, right = whole[neighbours].copy(), whole[neighbours].copy()
-    near = np.minimum(beyond, MOST_EXEMPT * np.minimum(lengths[i], lengths[j]))
+    near = exempt_lengths(lengths, beyond)
     left[:, 0, 1] = 1.0 - near / lengths[i]
     right[:, 1, 0] = near / lengths[j]
     return (

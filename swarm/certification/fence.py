@@ -21,11 +21,11 @@ from swarm.certification.strand_pieces import (
     kept_from_plane,
     write_unbounded,
 )
-from swarm.geometry.distance import segment_distance, segment_segment
+from swarm.geometry.distance import segment_distance
 from swarm.geometry.sensitivity import BOTH_ENDS
 from swarm.geometry.vectors import Vector, difference, dot, moved, unit
 from swarm.jit import compiled, inner
-from swarm.signatures import Bools1, Floats2, Floats3, contiguous
+from swarm.signatures import Floats1, Floats2, Floats3, contiguous
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -55,11 +55,8 @@ class InsideFence:
         team = TeamStates.at(self.motion, time, half)
         first, last = self.first[boxes.group], self.last[boxes.group]
         ends = np.stack([team.position[instant, first], team.position[instant, last]], axis=1)
-        ends[..., 2] = 0.0
-        sides = _sides(self.fence)
-        distance = segment_segment(ends[:, None], sides[None]).distance.min(axis=1)
-        inside = _inside(ends[:, 0], sides) & _inside(ends[:, 1], sides)
-        high = np.where(inside, distance, -distance)
+        high = np.empty(len(boxes))
+        _write_inside(ends, contiguous(sides_of(self.fence)), np.empty((2, 3)), high)
         still = np.zeros((len(boxes), 3))
         drift = np.maximum(team.drift(instant, first, still), team.drift(instant, last, still))
         high = high - self.tracking - self.reach[boxes.group]
@@ -81,30 +78,39 @@ class InsideFenceInWind:
     def __call__(self, boxes: Boxes) -> Enclosure:
         """Enclose the margin in each box; coordinates are time, tilt and the strand's fraction."""
         found = Enclosure.not_found(boxes)
-        sides = contiguous(_sides(self.fence))
+        sides = contiguous(sides_of(self.fence))
         half, chord = 0.5 * self.diameter, np.empty((2, 3))
         _write_margins(self.cable.tables, sides, half, boxes.arrays(), chord, found.arrays())
         return found
 
 
-def _sides(fence: Floats) -> Floats:
-    """The sides (m, 2, 3) of a fence (m, 2), on the ground."""
+def sides_of(fence: Floats) -> Floats:
+    """Return the sides (m, 2, 3) of a fence (m, 2), on the ground."""
     corners = np.pad(fence, ((0, 0), (0, 1)))
     return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
 
 
-def _inside(point: Floats, sides: Floats) -> npt.NDArray[np.bool_]:
-    """Whether points (b, 3) lie within the polygon with sides (m, 2, 3), in plan view."""
-    found = np.empty(len(point), dtype=np.bool_)
-    _write_inside(contiguous(point), contiguous(sides), found)
-    return found
-
-
 @compiled
-def _write_inside(point: Floats2, sides: Floats3, found: Bools1) -> None:
-    """Write :func:`_within` of points (b, 3)."""
+def _write_inside(ends: Floats3, sides: Floats3, chord: Floats2, found: Floats1) -> None:
+    """Write :func:`inside_by` of objects (b, 2, 3)."""
     for b in range(len(found)):
-        found[b] = _within((point[b, 0], point[b, 1], point[b, 2]), sides)
+        found[b] = inside_by(ends[b, 0], ends[b, 1], sides, chord)
+
+
+@inner
+def inside_by(start: Floats, end: Floats, sides: Floats, chord: Floats) -> float:
+    """Return how far a straight line between two points (3,) is from a fence in plan view.
+
+    Negative where an end is outside of its ``sides`` (m, 2, 3). ``chord`` (2, 3) is memory.
+    """
+    chord[0, 0], chord[0, 1], chord[0, 2] = start[0], start[1], 0.0
+    chord[1, 0], chord[1, 1], chord[1, 2] = end[0], end[1], 0.0
+    least = np.inf
+    for side in sides:
+        least = min(least, segment_distance(chord, 0, side, 0)[0])
+    apart, point, other = float(np.sqrt(least)), chord[0], chord[1]
+    inside = _within((point[0], point[1], 0.0), sides)
+    return apart if inside and _within((other[0], other[1], 0.0), sides) else -apart
 
 
 @compiled

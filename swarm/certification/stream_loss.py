@@ -6,11 +6,14 @@ whole team loses its setpoints, or one vehicle does: then the others continue un
 silent for the fleet's ``limits.silence``, and stop along their paths. Where a clearance or a chord
 would fail, the mission clock's rate is limited: all these distances shrink with it. Rates are
 chosen by samples every STEP seconds of the fold, at the ends of these motions and halfway, and then
-certified for all times between (:mod:`.stream_loss_bound`), or lowered until they are.
+certified for all times between (:mod:`.stream_loss_bound`), or lowered until they are: for every
+steady rate up to the limit. A clock that runs backwards has limits of its own, those of the
+reversed motion. All clearances of :mod:`.team_margins` count, of vehicles that were exactly on the
+plan, and of cable that hangs still.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -18,14 +21,10 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.findings import Finding
-from swarm.certification.monitor import Monitor
 from swarm.certification.stream_loss_bound import Overrun, StreamLossBound
-from swarm.certification.stream_loss_samples import (
-    Losses,
-    Needed,
-    allocate_memory,
-    write_margins,
-)
+from swarm.certification.stream_loss_samples import Losses, allocate_memory, write_margins
+from swarm.certification.team_margins import required_of
+from swarm.geometry.motion import reverse
 from swarm.planning import Plan, digest
 from swarm.planning.clock_limits import ClockLimits, clock_limits
 from swarm.threads import side_by_side, usual_threads
@@ -45,6 +44,9 @@ BRAKING_TIME = 0.3
 brake with about 3 m/s², which takes less at speeds up to 2 m/s."""
 _SIDE_BY_SIDE = 100
 """Moments that are computed by several threads: a thread starts in the time of a few of them."""
+_FOUND = 0.005
+"""Metres of margin at a sample from which a rate is tried: exactly at none, no finite search can
+show that it holds between samples."""
 _SHARES = (0.5, 1.0)
 """Shares of a motion after a loss at which it is sampled."""
 
@@ -74,7 +76,8 @@ class StreamLossModel:
 @dataclass(frozen=True)
 class WorstLoss:
     """The stream loss with the smallest margin (m): mission time, and the vehicle without setpoints
-    (counted from 1; 0: the whole team)."""
+    (counted from 1; 0: the whole team). The margin is infinite where all stay within the tracking
+    radius, for which clearances are certified."""
 
     margin: float
     time: float
@@ -90,13 +93,15 @@ class WorstLoss:
 class StreamLossCertificate:
     """The largest rates (k,) of the mission clock at mission times (k,), for stream losses.
 
-    ``worst`` is the sample with the smallest margin at the limited rate. ``infeasible`` are the
-    times after which even the slowest rate has no margin, or none can be shown. ``model`` is the
-    behaviour of the vehicles, ``digest`` that of the plan.
+    ``rewind_rates`` are those of a clock that runs backwards, 1 in a fold that does not. ``worst``
+    is the sample with the smallest margin at a limited rate. ``infeasible`` are the times around
+    which even the slowest rate has no margin, or none can be shown. ``model`` is the behaviour of
+    the vehicles, ``digest`` that of the plan.
     """
 
     times: Floats
     rates: Floats
+    rewind_rates: Floats
     worst: WorstLoss
     infeasible: Floats
     model: StreamLossModel
@@ -106,12 +111,13 @@ class StreamLossCertificate:
         """Whether it was computed from exactly this plan and these vehicles."""
         return self.model == model and self.digest == digest(plan)
 
-    def rate_limit(self, time: float) -> float:
-        """Return the largest rate at a mission time."""
+    def rate_limit(self, time: float, *, backwards: bool = False) -> float:
+        """Return the largest rate at a mission time, of a clock that runs on or backwards."""
         if not len(self.times) or not self.times[0] <= time <= self.times[-1]:
             return 1.0
         after = min(int(np.searchsorted(self.times, time)), len(self.times) - 1)
-        return float(min(self.rates[after], self.rates[max(after - 1, 0)]))
+        rates = self.rewind_rates if backwards else self.rates
+        return float(min(rates[after], rates[max(after - 1, 0)]))
 
     @property
     def delay(self) -> float:
@@ -131,29 +137,35 @@ class StreamLossCertificate:
         if not len(self.times):
             return []
         worst = self.worst
+        shown = "for clearances and chords after a stream loss"
         if len(self.infeasible):
             margin = (
                 f"{worst.margin:.2f} m margin" if worst.margin < 0.0 else "no margin can be shown"
             )
             message = (
-                f"{margin} for clearances and chords after a stream loss near "
-                f"{self.infeasible[0]:.1f} s, even at {RATES[-1]:.0%} of the clock rate (smallest "
-                f"for {worst.subject})"
+                f"{margin} {shown} near {self.infeasible[0]:.1f} s, even at {RATES[-1]:.0%} of the "
+                f"clock rate (smallest for {worst.subject})"
             )
             return [Finding("warning", "stream loss", message, worst.time)]
         message = (
-            f"{max(worst.margin, 0.0):.2f} m margin or more for clearances and chords after a "
-            f"stream loss in the fold, of one vehicle or of all (smallest for {worst.subject})"
+            f"{max(worst.margin, 0.0):.2f} m margin or more {shown} in the fold, of one vehicle or "
+            f"of all (smallest for {worst.subject})"
         )
-        found = [Finding("info", "stream loss", message, worst.time)]
-        limited = self.rates < 1.0
-        if limited.any():
+        if worst.margin == np.inf:
             message = (
-                f"{self.rates.min():.0%} is the slowest clock rate for that; it is below 100% "
-                f"during {limited.mean():.0%} of the fold"
+                "vehicles stay within the tracking radius after a stream loss in the fold, of one "
+                "vehicle or of all"
             )
-            slowest = float(self.times[int(np.argmin(self.rates))])
-            found.append(Finding("info", "stream loss", message, slowest))
+        found = [Finding("info", "stream loss", message, worst.time)]
+        for rates, rewind in ((self.rates, ""), (self.rewind_rates, " of a rewind")):
+            limited = rates < 1.0
+            if limited.any():
+                message = (
+                    f"{rates.min():.0%} is the slowest clock rate{rewind} for that; it is below "
+                    f"100% during {limited.mean():.0%} of the fold"
+                )
+                slowest = float(self.times[int(np.argmin(rates))])
+                found.append(Finding("info", "stream loss", message, slowest))
         return found
 
 
@@ -173,29 +185,85 @@ class _Named:
 
 @lru_cache(maxsize=4)
 def _certificate_of(named: _Named) -> StreamLossCertificate:
-    """Planner and certificate ask for the same plan, which is told by its digest."""
-    plan, model = named.plan, named.model
-    fold = [phase for phase in plan.phases if phase.name == "fold" and phase.cable == "aloft"]
-    if not fold or plan.vehicles < 2:
+    """Certificate and fleet ask for the same plan, which is told by its digest."""
+    plan, model, fold = named.plan, named.model, _fold(named.plan)
+    if fold is None:
         none = np.empty(0)
         return StreamLossCertificate(
-            none, none, WorstLoss(np.inf, 0.0, 0), none, model, named.digest
+            none, none, none, WorstLoss(np.inf, 0.0, 0), none, model, named.digest
         )
-    times = np.append(np.arange(fold[0].start, fold[-1].end, STEP), fold[-1].end)
+    start, end, reversible = fold
+    times, ahead = _times(start, end), _ahead_of(named)
+    if not reversible:
+        return StreamLossCertificate(
+            times, ahead.rates, np.ones(len(times)), ahead.worst, times[ahead.infeasible], model,
+            named.digest,
+        )  # fmt: skip
+    # mission time t is ``turned`` − t of the reversed motion
+    turned = float(plan.motion.times[0] + plan.motion.times[-1])
+    back = _limits_of(
+        replace(plan, motion=reverse(plan.motion)), model, turned - times[::-1], turned - start
+    )
+    worst = replace(back.worst, time=turned - back.worst.time)
+    return StreamLossCertificate(
+        times, ahead.rates, back.rates[::-1], min(ahead.worst, worst, key=lambda one: one.margin),
+        times[ahead.infeasible | back.infeasible[::-1]], model, named.digest,
+    )  # fmt: skip
+
+
+def _fold(plan: Plan) -> tuple[float, float, bool] | None:
+    """Return start and end of the fold, and whether mission time may run backwards in it."""
+    fold = [phase for phase in plan.phases if phase.name == "fold" and phase.cable == "aloft"]
+    if not fold or plan.vehicles < 2:
+        return None
+    return fold[0].start, fold[-1].end, all(phase.reversible for phase in fold)
+
+
+def _times(start: float, end: float) -> Floats:
+    return np.append(np.arange(start, end, STEP), end)
+
+
+def rates_ahead(plan: Plan) -> tuple[Floats, Floats]:
+    """Return the times (k,) and rates (k,) of a plan's certificate, for a clock that runs on.
+
+    In half of its time; none without a fold.
+    """
+    fold = _fold(plan)
+    if fold is None:
+        return np.empty(0), np.empty(0)
+    ahead = _ahead_of(_Named(digest(plan), StreamLossModel(), plan))
+    return _times(fold[0], fold[1]), ahead.rates
+
+
+class _Limits(NamedTuple):
+    """Rates (k,) in one direction of the clock, the worst loss, and which (k,) are infeasible."""
+
+    rates: Floats
+    worst: WorstLoss
+    infeasible: Flags
+
+
+@lru_cache(maxsize=4)
+def _ahead_of(named: _Named) -> _Limits:
+    """Planner and certificate ask for the same plan, which is told by its digest."""
+    fold = _fold(named.plan)
+    if fold is None:
+        raise ValueError("a plan without a fold has no limits for lost setpoints")
+    start, end, _ = fold
+    return _limits_of(named.plan, named.model, _times(start, end), end)
+
+
+def _limits_of(plan: Plan, model: StreamLossModel, times: Floats, end: float) -> _Limits:
+    """Return the limits of a clock that runs on along a plan's motion, no farther than ``end``."""
     overrun = model.overrun(plan)
-    rates, margins, vehicles = _sampled_rates(plan, overrun, times, RATES, _Accepted(0.0, -np.inf))
+    accepted = _Accepted(_FOUND, exact=True)
+    rates, margins, vehicles = _sampled_rates(plan, overrun, (times, end), RATES, accepted)
     lost = np.isnan(rates)
     rates[lost] = RATES[-1]
-    unshown = _lower(StreamLossBound(plan, overrun, fold[-1].end), times, rates, lost)
+    unshown = _lower(StreamLossBound(plan, overrun, end), times, rates, lost)
     tightest = int(np.argmin(margins))
-    return StreamLossCertificate(
-        times,
-        _reachable(overrun.limits, times, rates),
-        WorstLoss(float(margins[tightest]), float(times[tightest]), int(vehicles[tightest])),
-        times[lost | unshown],
-        model,
-        named.digest,
-    )
+    worst = WorstLoss(float(margins[tightest]), float(times[tightest]), int(vehicles[tightest]))
+    return _Limits(_reachable(overrun.limits, times, rates), worst, lost | unshown)
 
 
 def _lower(bound: StreamLossBound, times: Floats, rates: Floats, lost: Flags) -> Flags:
@@ -228,35 +296,43 @@ def sampled_rates(
     """
     fold = plan.phase("fold")
     times = np.append(np.arange(fold.start, fold.end, step), fold.end)
-    overrun = StreamLossModel().overrun(plan)
-    rates = _sampled_rates(plan, overrun, times, tried, _Accepted(margin, margin))[0]
+    overrun, accepted = StreamLossModel().overrun(plan), _Accepted(margin, exact=False)
+    rates = _sampled_rates(plan, overrun, (times, fold.end), tried, accepted)[0]
     return times, np.nan_to_num(rates, nan=tried[-1])
 
 
 class _Accepted(NamedTuple):
-    """The ``least`` margin of a rate, and the margin ``exact`` from which on it is exact, metres.
+    """The ``least`` margin of a rate in metres, and whether margins are wanted exactly.
 
-    Below, it is an upper bound.
+    Otherwise those above are at least that, and those below an upper bound.
     """
 
     least: float
-    exact: float
+    exact: bool
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Margins below and above which none is computed further."""
+        return (-np.inf, np.inf) if self.exact else (self.least, self.least)
 
 
 def _sampled_rates(
-    plan: Plan, overrun: Overrun, times: Floats, tried: Sequence[float], accepted: _Accepted
-) -> tuple[Floats, Floats, Ints]:
-    """Return the fastest of the rates with an accepted margin, NaN for none, at times (k,).
+    plan: Plan, overrun: Overrun, when: tuple[Floats, float], tried: Sequence[float],
+    accepted: _Accepted,
+) -> tuple[Floats, Floats, Ints]:  # fmt: skip
+    """Return the fastest of the rates with an accepted margin, NaN for none.
 
-    Also the margins (k,) at these rates, and the vehicles (k,) without setpoints that have them.
+    At times (k,), in a motion up to an end. Also the margins (k,) at these rates, and the vehicles
+    (k,) without setpoints that have them.
     """
+    times, end = when
     rates = np.full(len(times), np.nan)
     margins, vehicles = np.full(len(times), -np.inf), np.zeros(len(times), dtype=np.intp)
     for rate in tried:
         open_ = np.flatnonzero(np.isnan(rates))
         if not len(open_):
             break
-        margin, vehicle = _margins(plan, overrun, times[open_], rate, accepted.exact)
+        margin, vehicle = _margins(plan, overrun, (times[open_], end), rate, accepted)
         better = margin > margins[open_]
         margins[open_[better]], vehicles[open_[better]] = margin[better], vehicle[better]
         rates[open_[margin >= accepted.least]] = rate
@@ -264,17 +340,18 @@ def _sampled_rates(
 
 
 def _margins(
-    plan: Plan, overrun: Overrun, times: Floats, rate: float, exact: float
+    plan: Plan, overrun: Overrun, when: tuple[Floats, float], rate: float, accepted: _Accepted
 ) -> tuple[Floats, Ints]:
     """Return the margins (k,), and the vehicles (k,) without setpoints that have them."""
+    times, end = when
     margins, vehicles = np.empty(len(times)), np.empty(len(times), dtype=np.intp)
+    required = required_of(plan)
 
     def write(some: slice) -> None:
-        monitor = Monitor(plan)
-        needed = Needed(monitor.required, plan.mission.cable.diameter, exact)
         margin, vehicle = np.empty(len(times[some])), np.empty(len(times[some]), dtype=np.intp)
-        losses = _losses(plan, times[some], rate, overrun)
-        write_margins(losses, needed, allocate_memory(monitor), margin, vehicle)
+        losses = _losses(plan, (times[some], end), rate, overrun)
+        memory = allocate_memory(plan.vehicles)
+        write_margins(losses, required, accepted.limits, memory, margin, vehicle)
         margins[some], vehicles[some] = margin, vehicle
 
     # every other moment, because those that take long are next to each other
@@ -297,13 +374,16 @@ def _reachable(limits: ClockLimits, times: Floats, rates: Floats) -> Floats:
     return limited
 
 
-def _losses(plan: Plan, times: Floats, rate: float, overrun: Overrun) -> Losses:
-    """Return the sampled positions after losses at ``times`` (k,) and a clock rate."""
+def _losses(plan: Plan, when: tuple[Floats, float], rate: float, overrun: Overrun) -> Losses:
+    """Return the sampled positions after losses at times (k,) and a clock rate, up to an end."""
+    times, end = when
     position, velocity, _ = plan.motion.at(times)
     # The team continues until the silence is detected; then the clock's rate falls to zero.
     advance = overrun.advance(times, np.array(rate))
-    end = next(phase.end for phase in plan.phases if phase.name == "fold")
     after = np.array(_SHARES)
     team = plan.motion.at(np.minimum(times + after[:, None] * advance, end))[0]
-    moved = overrun.coast_time[:, None] * (rate * velocity)
-    return Losses(position, moved, np.array(overrun.descent), team, after)
+    coast = rate * overrun.coast_time
+    ahead = plan.motion.at(np.minimum(times + after[:, None] * coast.max(), end))[0]
+    moved = coast[:, None] * velocity
+    tracking = plan.mission.vehicles.tracking
+    return Losses(position, moved, np.array(overrun.descent), team, ahead, after, tracking)

@@ -15,23 +15,20 @@ import numpy.typing as npt
 
 from swarm.certification.branch_and_bound import Boxes, Enclosure, search
 from swarm.certification.motion_bounds import BoundedMotion
-from swarm.certification.stream_loss_pairs import (
-    TOLERANCE,
+from swarm.certification.stream_loss_team import Box, LossMotion, write_state
+from swarm.certification.team_margins import (
+    KINDS,
+    Query,
     Required,
-    SampledStrands,
+    Strands,
+    Team,
     allocate_strands,
-    strand_margins,
+    allocate_team,
+    cable_margins,
+    required_of,
+    smallest,
     vehicle_margins,
 )
-from swarm.certification.stream_loss_team import (
-    Box,
-    LossMotion,
-    TeamState,
-    allocate_team,
-    write_state,
-)
-from swarm.geometry.catenary import MAX_CHORD_RATIO
-from swarm.geometry.sensitivity import sensitivity_tables
 from swarm.jit import compiled
 from swarm.planning import Plan
 from swarm.planning.clock_limits import ClockLimits
@@ -117,12 +114,16 @@ class _Cases(NamedTuple):
 
 
 class _Workspace(NamedTuple):
-    team: TeamState
-    strands: SampledStrands
+    team: Team
+    strands: Strands
+    margins: Floats2
 
 
 class _Margins(NamedTuple):
-    """Lower bounds (m,) of margins in boxes, margins (m,) in their middles, doubts (m, 3)."""
+    """Lower bounds (m,) of margins in boxes, margins (m,) in their middles, doubts (m, 3).
+
+    Both are 0 where all margins are larger.
+    """
 
     low: Floats1
     here: Floats1
@@ -134,7 +135,7 @@ class StreamLossBound:
 
     def __init__(self, plan: Plan, overrun: Overrun, end: float) -> None:
         """``end`` is the last mission time that is reached."""
-        motion, clearance = BoundedMotion(plan.motion), plan.mission.clearance
+        motion, n = BoundedMotion(plan.motion), plan.vehicles
         self._overrun = overrun
         times, joints, coefficients = (
             np.require(values, np.float64, ["C", "W"])
@@ -145,14 +146,8 @@ class StreamLossBound:
             np.array(overrun.coast_time), np.array(overrun.descent),
             plan.mission.vehicles.tracking, end,
         )  # fmt: skip
-        tables, lengths = sensitivity_tables(), plan.layout.lengths
-        self._required = Required(
-            MAX_CHORD_RATIO * lengths, clearance.vehicle, clearance.downwash,
-            clearance.cable + plan.mission.cable.diameter, np.array(lengths), tables,
-        )  # fmt: skip
-        self._workspace = _Workspace(
-            allocate_team(len(overrun.coast_time)), allocate_strands(len(lengths))
-        )
+        self._required = required_of(plan)
+        self._workspace = _Workspace(allocate_team(n), allocate_strands(n), np.empty((2, KINDS)))
 
     def holds(self, start: Floats, end: Floats, rate: Floats) -> Flags:
         """Return whether margins hold after losses within intervals (k,), at up to ``rate`` (k,).
@@ -176,9 +171,9 @@ class StreamLossBound:
             return where
 
         def undecided(boxes: Boxes, found: Enclosure) -> Flags:
-            failed = self._reached(boxes, advances) & (found.high < -TOLERANCE)
+            failed = self._reached(boxes, advances) & (found.high < 0.0)
             shown[boxes.group[failed] % count] = False
-            return found.low < -TOLERANCE
+            return found.low < 0.0
 
         search(
             lambda boxes: self._margins(boxes, rate),
@@ -252,12 +247,11 @@ def _write_margins(
             cases.case[m], cases.rate[m], middle[m, 0], half[m, 0], middle[m, 1], half[m, 1],
             middle[m, 2], half[m, 2],
         )  # fmt: skip
-        low = here = np.inf
+        low, here = workspace.margins
+        found.low[m] = found.here[m] = 0.0
         if write_state(box, motion, workspace.team, found.doubts[m]):
-            low, here = vehicle_margins(box.case, box.half, workspace.team, required)
-            if low > -TOLERANCE:
-                strands = strand_margins(
-                    box.case, box.half, workspace.team, required, workspace.strands
-                )
-                low, here = min(low, strands[0]), min(here, strands[1])
-        found.low[m], found.here[m] = low, here
+            asked = Query(box.case - 1, (box.half, box.coast_half, box.advance_half), 0.0, 0.0)
+            vehicle_margins(asked, workspace.team, required, low, here)
+            if smallest(low) >= 0.0:
+                cable_margins(asked, workspace.team, required, workspace.strands, low, here)
+            found.low[m], found.here[m] = smallest(low), smallest(here)

@@ -11,9 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.motion_bounds import largest_between, pieces_between
+from swarm.certification.team_margins import Team
 from swarm.geometry.motion import evaluate_piece, find_piece
 from swarm.jit import inner
-from swarm.signatures import Floats1, Floats2, Floats3, Floats4
+from swarm.signatures import Floats1, Floats3, Floats4
 
 Floats = npt.NDArray[np.float64]
 
@@ -55,32 +56,15 @@ class Box(NamedTuple):
     advance_half: float
 
 
-class TeamState(NamedTuple):
-    """Positions in a box's middle and their derivatives by the time of the loss (n, 3).
-
-    ``spread`` (n,) bounds all other movement of each vehicle within the box, metres; ``scratch``
-    (3, 3) is working memory.
-    """
-
-    position: Floats2
-    velocity: Floats2
-    spread: Floats1
-    scratch: Floats2
-
-
-def allocate_team(n: int) -> TeamState:
-    """Return memory for the state of n vehicles."""
-    return TeamState(np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty((3, 3)))
-
-
 @inner
-def write_state(box: Box, motion: LossMotion, team: TeamState, doubts: Floats) -> bool:
+def write_state(box: Box, motion: LossMotion, team: Team, doubts: Floats) -> bool:
     """Write the team's state, and whether a vehicle may be outside the tracking radius.
 
-    ``doubts`` (3,) becomes the uncertainty that the widths in time, coasting and advance cause.
+    Its coordinates are the time of the loss, coasting and advance; ``doubts`` (3,) becomes the
+    uncertainty that the widths in these cause.
     """
-    position, velocity, spread = team.position, team.velocity, team.spread
-    doubts[0] = doubts[1] = doubts[2] = 0.0
+    position, slopes, spread = team.position, team.slopes, team.spread
+    together = 1 if box.case == 0 else 2  # the coordinate in which the planned positions advance
     after, after_half = (
         (box.coast, box.coast_half) if box.case == 0 else (box.advance, box.advance_half)
     )
@@ -92,33 +76,47 @@ def write_state(box: Box, motion: LossMotion, team: TeamState, doubts: Floats) -
     for i in range(len(spread)):
         evaluate_piece(motion.coefficients[piece], i, since, moving, team.scratch)
         for axis in range(3):
-            position[i, axis], velocity[i, axis] = team.scratch[0, axis], team.scratch[1, axis]
+            position[i, axis] = team.scratch[0, axis]
+            slopes[0, i, axis] = slopes[together, i, axis] = team.scratch[1, axis]
+            slopes[3 - together, i, axis] = 0.0
         acceleration = largest_between(motion.accelerations, pieces, i)
         # Planned positions, of all vehicles at the same time.
-        speed = _norm(velocity[i])
-        spread[i] = speed * after_half + 0.5 * acceleration * width * width
+        spread[i] = 0.5 * acceleration * width * width
         if moment + width > motion.end:
-            spread[i] += 2.0 * speed * width
+            spread[i] += 2.0 * _norm(slopes[0, i]) * width
         if box.case in (0, i + 1):
-            largest = max(largest, _coast(box, i, motion, team, doubts))
-        else:
-            doubts[2] = max(doubts[2], speed * box.advance_half)
+            largest = max(largest, _coast(box, i, motion, team))
     if largest <= motion.tracking:
+        doubts[0] = doubts[1] = doubts[2] = 0.0
         return False
-    x = y = z = 0.0
-    for i in range(len(velocity)):
-        x, y, z = x + velocity[i, 0], y + velocity[i, 1], z + velocity[i, 2]
-    x, y, z = x / len(velocity), y / len(velocity), z / len(velocity)
-    largest = 0.0
-    for i in range(len(velocity)):
-        square = (velocity[i, 0] - x) ** 2 + (velocity[i, 1] - y) ** 2 + (velocity[i, 2] - z) ** 2
-        largest = max(largest, square)
-    doubts[0] = (np.sqrt(largest) + 1e-3) * box.half
+    halves = box.half, box.coast_half, box.advance_half
+    for coordinate in range(3):
+        doubts[coordinate] = _apart(slopes[coordinate], team.scratch[0]) * halves[coordinate]
     return True
 
 
 @inner
-def _coast(box: Box, i: int, motion: LossMotion, team: TeamState, doubts: Floats) -> float:
+def _apart(slopes: Floats, mean: Floats) -> float:
+    """Return how far slopes (n, 3) differ from their mean at most, and a tenth of that.
+
+    Distances of vehicles change with their differences, those from floor and fence with all of it.
+    ``mean`` (3,) is working memory.
+    """
+    for axis in range(3):
+        mean[axis] = 0.0
+        for i in range(len(slopes)):
+            mean[axis] += slopes[i, axis] / len(slopes)
+    largest = 0.0
+    for i in range(len(slopes)):
+        square = 0.0
+        for axis in range(3):
+            square += (slopes[i, axis] - mean[axis]) ** 2
+        largest = max(largest, square)
+    return float(np.sqrt(largest) + 0.1 * _norm(mean) + 1e-3)
+
+
+@inner
+def _coast(box: Box, i: int, motion: LossMotion, team: Team) -> float:
     """Move vehicle i from its planned position to where it coasts.
 
     Returns its largest distance from the position that is planned for the state of the others.
@@ -137,22 +135,30 @@ def _coast(box: Box, i: int, motion: LossMotion, team: TeamState, doubts: Floats
     sunk = 0.5 * motion.descent[i] if box.case > 0 else 0.0
     middle, most = max(box.coast - 0.5 * earlier, 0.0), box.coast + box.coast_half
     fastest = _norm(velocity) + largest_acceleration * box.half
-    spread = fastest * (box.coast_half + 0.5 * earlier) + sunk
     deviation = 0.5 * (largest_acceleration + most * largest_jerk) * box.half
-    spread += (deviation + 0.5 * largest_acceleration * earlier) * box.half
-    doubts[1] = max(doubts[1], fastest * box.coast_half)
-    apart = turned = 0.0
-    for axis in range(3):
-        position[axis] += middle * velocity[axis]
-        velocity[axis] += middle * acceleration[axis]
+    deviation += largest_acceleration * (box.coast_half + 0.5 * earlier)
+    spread = fastest * 0.5 * earlier + deviation * box.half + sunk
+    halves, off = (box.half, box.coast_half, box.advance_half), team.spread[i] + spread
     position[2] -= sunk
     for axis in range(3):
+        position[axis] += middle * velocity[axis]
+        acceleration[axis] = velocity[axis] + middle * acceleration[axis]
+    apart = 0.0
+    for axis in range(3):
         apart += (position[axis] - team.position[i, axis]) ** 2
-        turned += (velocity[axis] - team.velocity[i, axis]) ** 2
-        team.position[i, axis], team.velocity[i, axis] = position[axis], velocity[axis]
-    off = np.sqrt(apart) + np.sqrt(turned) * box.half + team.spread[i] + spread
+        team.position[i, axis] = position[axis]
+    for coordinate in range(3):
+        turned = 0.0
+        for axis in range(3):
+            # by time, by coasting, and not at all by the advance of the others
+            slope = acceleration[axis] if coordinate == 0 else velocity[axis]
+            if coordinate == 2:
+                slope = 0.0
+            turned += (slope - team.slopes[coordinate, i, axis]) ** 2
+            team.slopes[coordinate, i, axis] = slope
+        off += np.sqrt(turned) * halves[coordinate]
     team.spread[i] = spread
-    return float(off)
+    return float(np.sqrt(apart) + off)
 
 
 @inner

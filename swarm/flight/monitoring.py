@@ -31,7 +31,7 @@ class Sample:
     def clearances(self) -> Clearances:
         """Distances now; the margin is the smaller of now and ahead."""
         here, ahead = self.monitor.clearances(self.moments, self.cable)
-        return replace(here, margin=min(here.margin, ahead.margin))
+        return min(here, replace(here, margin=ahead.margin, kind=ahead.kind), key=_margin)
 
     @cached_property
     def pace(self) -> float:
@@ -40,6 +40,10 @@ class Sample:
         if self.strays is None:
             return pace
         return min(pace, self.monitor.swinging_rate(self.moments, self.strays))
+
+
+def _margin(clearances: Clearances) -> float:
+    return clearances.margin
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ def steer_clock(flight: FlightState) -> None:
     if flight.holds.causes:
         clock.target = 0.0
         return
-    pace = allowed_pace(flight)
+    pace = allowed_pace(flight, backwards=flight.progress.rewinding)
     if flight.monitored.sample is not None:
         clock.urgent |= flight.monitored.sample.pace == 0.0
     if flight.progress.rewinding:
@@ -64,10 +64,10 @@ def steer_clock(flight: FlightState) -> None:
     clock.target = pace
 
 
-def allowed_pace(flight: FlightState) -> float:
+def allowed_pace(flight: FlightState, *, backwards: bool) -> float:
     """Return the largest rate, 0…1, that errors, clearances and a loss of setpoints allow now.
 
-    Flights without feedback keep their rate.
+    For a clock that runs on or ``backwards``. Flights without feedback keep their rate.
     """
     options = flight.setup.options
     if options.open_loop:
@@ -77,7 +77,7 @@ def allowed_pace(flight: FlightState) -> float:
         pace = 1.0  # the errors that are measured here must not decide for how long
     if flight.monitored.sample is not None:
         pace = min(pace, flight.monitored.sample.pace)
-    return min(pace, flight.stream_loss.rate_limit(flight.clock.time))
+    return min(pace, flight.stream_loss.rate_limit(flight.clock.time, backwards=backwards))
 
 
 def _too_far(flight: FlightState) -> bool:

@@ -19,7 +19,7 @@ from swarm.certification.certificate import (
     measure_clearances,
     with_recorded_robustness,
 )
-from swarm.certification.stream_loss import certify_stream_loss
+from swarm.certification.stream_loss import rates_ahead
 from swarm.mission import Mission
 from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower
 from swarm.planner.repairs import Kept, Unfinished, least_short, repair, slowed_for_budget
@@ -246,7 +246,7 @@ def _certified(paced: PacedPlan, progress: Progress | None) -> PlanningResult:
     """
     timings, measured = [paced], [_measured(paced.plan, progress)]
     for _ in range(_RETIMED):
-        again = slower(timings[-1], certify_stream_loss(timings[-1].plan))
+        again = slower(timings[-1])
         if again is None:
             break
         timings.append(again)
@@ -263,4 +263,4 @@ def _certified(paced: PacedPlan, progress: Progress | None) -> PlanningResult:
 
 def _measured(plan: Plan, progress: Progress | None) -> MeasuredClearances:
     """Return the measured clearances of a plan, and have lost setpoints certified meanwhile."""
-    return both(lambda: measure_clearances(plan, progress), lambda: certify_stream_loss(plan))[0]
+    return both(lambda: measure_clearances(plan, progress), lambda: rates_ahead(plan))[0]

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from swarm.certification.stream_loss import FINE_RATES, StreamLossCertificate, sampled_rates
+from swarm.certification.stream_loss import FINE_RATES, rates_ahead, sampled_rates
 from swarm.certification.swing_runs import strands_of
 from swarm.certification.tube_radii import BIN
 from swarm.geometry.motion import Motion
@@ -234,12 +234,12 @@ def slowed_for_stops(paced: PacedPlan, times: Floats, excess: Floats) -> PacedPl
     return _timed(paced.plan, _limited_for_loss(paced.plan, pacing))
 
 
-def slower(paced: PacedPlan, loss: StreamLossCertificate) -> PacedPlan | None:
+def slower(paced: PacedPlan) -> PacedPlan | None:
     """Return the plan timed for the rates of its certificate; None where they are 1 already."""
-    if paced.pacing is None or not len(loss.times) or loss.rates.min() >= 1.0:
+    times, rates = rates_ahead(paced.plan)
+    if paced.pacing is None or not len(times) or rates.min() >= 1.0:
         return None
-    times = loss.times - paced.plan.phase("fold").start
-    pacing = paced.pacing.slowed_for_loss(times, loss.rates)
+    pacing = paced.pacing.slowed_for_loss(times - paced.plan.phase("fold").start, rates)
     return slowed_for_swing(_timed(paced.plan, _limited_for_loss(paced.plan, pacing)))
 
 

@@ -38,6 +38,7 @@ def plan_of(
     cable: CableState = "aloft",
     knot: KnotSummary = NO_KNOT,
     crossings=(),
+    reversible: bool = False,
 ):
     """A plan of one phase, with the default mission and overrides."""
     lengths = np.asarray(lengths, dtype=float)
@@ -45,5 +46,5 @@ def plan_of(
     corners = motion.at(end)[0]
     layout = KnotLayout(corners, 0 * lengths, lengths, 0 * lengths, tuple(crossings), 0.0)
     mission = mission_for_knot("overhand", ("workspace.ceiling=100", *overrides))
-    phases = (Phase(name, start, end, cable, False),)
+    phases = (Phase(name, start, end, cable, reversible),)
     return Plan(mission, knot, layout, motion, phases, (), corners)

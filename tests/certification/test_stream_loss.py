@@ -10,9 +10,8 @@ from swarm.certification.stream_loss import (
     StreamLossModel,
     certify_stream_loss,
 )
-from swarm.certification.stream_loss_bound import TOLERANCE
-from swarm.certification.stream_loss_samples import Losses, Needed, allocate_memory, write_margins
 from swarm.flight.clock import MissionClock
+from swarm.geometry.motion import reverse
 from swarm.planning.clock_limits import ORDINARY, clock_limits
 from tests.certification.synthetic import moving, plan_of
 from tests.network import small_plan
@@ -36,7 +35,9 @@ def test_a_loss_of_all_streams_keeps_the_formation():
     assert found.rate_limit(1.0) == 1.0
     assert not len(found.infeasible)
     (finding,) = found.findings()
-    assert "margin or more for clearances and chords" in finding.message
+    assert finding.message.startswith(
+        "vehicles stay within the tracking radius after a stream loss"
+    )
     assert finding.severity == "info"
 
 
@@ -93,9 +94,9 @@ def test_a_plan_without_margin_at_the_slowest_rate_gets_a_warning():
     taut = certify_stream_loss(
         plan_of(moving([0.0, 2.0], [line(0.0, 3.59), line(1.0, 3.59)]), [LENGTH, LENGTH])
     )
-    assert len(taut.infeasible) == len(taut.times)
+    assert taut.infeasible == pytest.approx(taut.times[:-1])  # at rest in the end, none leaves it
     assert taut.findings()[0].severity == "warning"
-    assert taut.worst.margin <= 0.985 * LENGTH - 3.59 + 1e-9
+    assert "no margin can be shown" in taut.findings()[0].message
 
 
 def test_the_largest_advance_after_a_loss_contains_those_of_all_moments_and_rates():
@@ -182,7 +183,25 @@ def test_random_losses_keep_every_certified_margin(overhand, overhand_assessed, 
             states.append(reached)
     assert len(states) > 50
     clearances = monitor.clearances(np.array(states), "aloft")
-    assert min(one.margin for one in clearances) >= -TOLERANCE - 1e-3
+    assert min(one.margin for one in clearances) > -0.01
+
+
+def test_a_rewind_has_limits_of_its_own():
+    """On the way to the line a vehicle may fly on beyond it; on the way back a chord gets too long."""
+    aside = line(0.0)
+    aside[1][1] = 1.0
+    motion = moving([0.0, 1.0], [aside, line(0.0)])
+    plan = plan_of(motion, [LENGTH, LENGTH], reversible=True)
+    found = certify_stream_loss(plan)
+    assert (found.rates == 1.0).all()
+    assert found.rate_limit(0.5, backwards=True) < 1.0
+    turned = certify_stream_loss(plan_of(reverse(motion), [LENGTH, LENGTH]))
+    assert found.rewind_rates == pytest.approx(turned.rates[::-1])
+    for time in np.linspace(0.0, 1.0, 21):
+        limit = found.rate_limit(time, backwards=True)
+        reached, velocity, _ = plan.motion.at(time)
+        reached[1] -= 0.8 * limit * velocity[1]
+        assert np.linalg.norm(np.diff(reached, axis=0), axis=1).max() <= 0.985 * LENGTH
 
 
 def test_a_loss_between_two_samples_counts():
@@ -195,40 +214,5 @@ def test_a_loss_between_two_samples_counts():
     _, off = after_loss(plan, found.model, 2, 0.25, limit, 2.0)
     reached, _ = after_loss(plan, found.model, 2, 0.25, limit, 1.1)
     assert off > 0.1
-    assert np.linalg.norm(np.diff(reached, axis=0), axis=1).max() <= 0.985 * LENGTH + TOLERANCE
+    assert np.linalg.norm(np.diff(reached, axis=0), axis=1).max() <= 0.985 * LENGTH
     assert limit < 1.0
-
-
-def test_sampled_margins_are_those_of_the_whole_team(overhand):
-    """Distances that are computed once for all losses of a moment, against all of them each time.
-
-    Vehicles that are moved at random are far off the plan, close to others and within reach.
-    """
-    rng, n = np.random.default_rng(3), overhand.vehicles
-    fold = overhand.phase("fold")
-    times = rng.uniform(fold.start, fold.end, 12)
-    position, later = overhand.motion.at(times)[0], overhand.motion.at(times + 0.3)[0]
-    moved = rng.normal(0.0, 0.4, position.shape) * rng.uniform(0.0, 1.0, (12, 1, 1))
-    shares, descent = np.array([0.5, 1.0]), rng.uniform(0.0, 0.2, n)
-    team, monitor = np.stack([later, later]), Monitor(overhand)
-    losses = Losses(position, moved, descent, team, shares)
-    needed = Needed(monitor.required, overhand.mission.cable.diameter, -np.inf)
-    margins, vehicles = np.empty(12), np.empty(12, dtype=np.intp)
-    write_margins(losses, needed, allocate_memory(monitor), margins, vehicles)
-    assert (margins > 0.0).sum() > 3
-    for k in range(12):
-        of_team = [position[k] + share * moved[k] for share in (0.0, 0.5, 1.0)]
-        cases = [(0, reached) for reached in of_team]
-        for share in shares:
-            for vehicle in range(n):
-                reached = later[k].copy()
-                reached[vehicle] = position[k, vehicle] + share * moved[k, vehicle]
-                reached[vehicle, 2] -= share * descent[vehicle]
-                cases.append((vehicle + 1, reached))
-        expected = [monitor.clearances(reached[None], "aloft")[0].margin for _, reached in cases]
-        # Chords that are longer than their cable end the comparison there: strands are not computed.
-        if min(expected) > 0.0:
-            assert margins[k] == pytest.approx(min(expected), abs=1e-9)
-            assert vehicles[k] == cases[int(np.argmin(expected))][0]
-        else:
-            assert margins[k] <= 0.0

@@ -161,8 +161,8 @@ def test_the_clock_slows_where_swinging_strands_come_near_each_other():
         for both in (0.0, margin - 0.15, margin - 0.05, margin + 0.1)
     ]
     assert rates[:2] == [1.0, 1.0]
-    # the clearances of strands that are not near each other are lower bounds, by up to 3 cm
-    assert 0.45 < rates[2] < 0.85
+    # half of the margin that slows, less the bows of sampled pieces, of up to a centimetre
+    assert 0.4 < rates[2] <= 0.5
     assert rates[3] == SLOWEST
     # neighbours are not compared
     assert monitor.swinging_rate(crossed[None], np.array([0.0, 2.0, 0.0])) == 1.0

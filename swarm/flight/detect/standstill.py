@@ -107,8 +107,8 @@ def _small_clearances(expected: Expected) -> str:
     seen = expected.monitored.clearances
     cable = "no slack" if math.isnan(seen.cable) else f"strands {seen.cable:.2f} m apart"
     return (
-        f"no clearance remains ({cable}, vehicles {seen.vehicle:.2f} m apart, "
-        f"chords up to {seen.chord:.0%} of the cable length)"
+        f"no clearance remains ({seen.kind}: margin {seen.margin:.2f} m; {cable}, vehicles "
+        f"{seen.vehicle:.2f} m apart, chords up to {seen.chord:.0%} of the cable length)"
     )
 
 

@@ -70,7 +70,7 @@ def _rate(flight: FlightState, target: float | None) -> float:
     if abs(left) < 0.02 or _any_silent(flight):
         return 0.0
     braking = 0.5 * math.sqrt(2.0 * clock.steepest * abs(left))
-    return math.copysign(min(allowed_pace(flight), braking), left)
+    return math.copysign(min(allowed_pace(flight, backwards=left < 0.0), braking), left)
 
 
 def _any_silent(flight: FlightState) -> bool:
