@@ -1,4 +1,4 @@
-"""Which clearances are compared by whom: one table, printed in the documentation.
+"""Which clearances certificate, lost setpoints and monitor compare: one table, for the pages too.
 
 The certificate covers the planned motion with every tracking error; the certificate of lost
 setpoints the states after a loss in the fold; the live monitor the measured positions and those

@@ -304,7 +304,8 @@ def sampled_rates(
 class _Accepted(NamedTuple):
     """The ``least`` margin of a rate in metres, and whether margins are wanted exactly.
 
-    Otherwise those above are at least that, and those below an upper bound.
+    Otherwise those above are at least that, those below an upper bound, and those of the plan count
+    too: where that falls short, a slower motion, which is shaped less, is easier to repair.
     """
 
     least: float
@@ -350,6 +351,8 @@ def _margins(
     def write(some: slice) -> None:
         margin, vehicle = np.empty(len(times[some])), np.empty(len(times[some]), dtype=np.intp)
         losses = _losses(plan, (times[some], end), rate, overrun)
+        if not accepted.exact:
+            losses = losses._replace(tracking=-1.0)
         memory = allocate_memory(plan.vehicles)
         write_margins(losses, required, accepted.limits, memory, margin, vehicle)
         margins[some], vehicles[some] = margin, vehicle

@@ -27,7 +27,8 @@ class Losses(NamedTuple):
     ``position`` (k, n, 3) at the loss, ``moved`` (k, n, 3) how far vehicles without setpoints move,
     and ``descent`` (n,) how far one of them descends. ``team`` (s, k, n, 3) are the planned
     positions of the others after each of the ``shares`` (s,) of the motion, and ``ahead`` those of
-    all without setpoints. Within ``tracking`` metres of planned positions, everything is certified.
+    all without setpoints. Within ``tracking`` metres of planned positions, everything is certified;
+    with a negative one nothing is, and the plan itself counts as well.
     """
 
     position: Floats3
@@ -67,20 +68,23 @@ def write_margins(
     for k in range(len(margins)):
         margins[k], vehicles[k] = enough, 0
         for share in range(len(losses.shares)):
-            for who in range(-1, losses.position.shape[1]):
+            for who in range(-2 if losses.tracking < 0.0 else -1, losses.position.shape[1]):
                 if margins[k] < found:
                     break
                 if _place((k, share, who), losses, memory.team) > losses.tracking:
                     margin = _smallest(
-                        Query(who, (0.0, 0.0, 0.0), found, margins[k]), required, memory
+                        Query(max(who, -1), (0.0, 0.0, 0.0), found, margins[k]), required, memory
                     )
                     if margin < margins[k]:
-                        margins[k], vehicles[k] = margin, who + 1
+                        margins[k], vehicles[k] = margin, max(who + 1, 0)
 
 
 @inner
 def _place(which: tuple[int, int, int], losses: Losses, team: Team) -> float:
-    """Move a team to where it is after a loss; return how far a vehicle is off the plan."""
+    """Move a team to where it is after a loss; return how far a vehicle is off the plan.
+
+    All vehicles without setpoints (−1), one of them, or none (−2).
+    """
     (k, share, who), farthest = which, 0.0
     for i in range(len(team.position)):
         planned = losses.ahead[share, k, i] if who == -1 else losses.team[share, k, i]

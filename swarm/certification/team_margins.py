@@ -48,6 +48,7 @@ from swarm.signatures import Bools1, Floats1, Floats2, Floats3, contiguous
 Floats = npt.NDArray[np.float64]
 
 VEHICLES, CEILING, FENCE, CHORDS, STRANDS, NEIGHBOURS, BODIES, DISCS, FLOOR = range(9)
+"""Kinds of clearances: places in arrays of margins."""
 KIND_NAMES = (
     "vehicle clearance", "ceiling", "fence", "taut", "cable clearance", "neighbouring segments",
     "vehicle-cable clearance", "rotor disc", "floor",
@@ -272,7 +273,8 @@ def strand_margins(
             _deviations(i, BOTH_ENDS, moved[0], team, required, strands, off)
             _deviations(j, BOTH_ENDS, moved[1], team, required, strands, other_off)
             limits, every = (required.strands, _arc(i, required), _arc(j, required)), (0, _PIECES)
-            _between(STRANDS, points[i], every, points[j], every, limits, strands.off, low, here)
+            parts = every, every
+            _between(STRANDS, points[i], points[j], parts, limits, strands.off, low, here)
 
 
 @inner
@@ -325,12 +327,11 @@ def _neighbours(
     end, begin = 1.0 - required.exempt[i, 0], required.exempt[i, 1]
     last, first = int(np.ceil(end * _PIECES)), int(begin * _PIECES)
     _write_part(points[i], 0.0, end, part)
-    _between(NEIGHBOURS, part, (0, last), points[j], every, limits, strands.off, low, here)
+    parts = (0, last), every
+    _between(NEIGHBOURS, part, points[j], parts, limits, strands.off, low, here)
     _write_part(points[j], begin, 1.0, part)
-    rest = last - 1, _PIECES
-    _between(
-        NEIGHBOURS, points[i], rest, part, (first, _PIECES), limits, strands.off, low, here
-    )  # fmt: skip
+    parts = (last - 1, _PIECES), (first, _PIECES)
+    _between(NEIGHBOURS, points[i], part, parts, limits, strands.off, low, here)
 
 
 @inner
@@ -361,7 +362,7 @@ def _reach(start: Floats, end: Floats, length: float, fraction: float) -> float:
 
 @inner
 def _between(
-    kind: int, one: Floats, ones: tuple[int, int], other: Floats, others: tuple[int, int],
+    kind: int, one: Floats, other: Floats, parts: tuple[tuple[int, int], tuple[int, int]],
     limits: tuple[float, float, float], off: Floats, low: Floats, here: Floats,
 ) -> None:  # fmt: skip
     """Lower the margins of a kind to those of two strands, each from one piece to before another.
@@ -369,7 +370,7 @@ def _between(
     ``limits`` are the required distance and the arcs of their pieces, which may be elsewhere by the
     rows of ``off``.
     """
-    apart, arc, other_arc = limits
+    (apart, arc, other_arc), (ones, others) = limits, parts
     for p in range(ones[0], ones[1], _BLOCK):
         p_end = min(p + _BLOCK, ones[1])
         for q in range(others[0], others[1], _BLOCK):
@@ -447,7 +448,7 @@ def _body(
     if apart < enough:
         _deviations(i, BOTH_ENDS, of_ends, team, required, strands, strands.off[0])
         limits = required.bodies, of_body, 0.0
-        _from_body(BODIES, k, i, limits, team, required, strands, low, here)
+        _from_body(BODIES, (k, i), limits, team, required, strands, low, here)
 
 
 @inner
@@ -465,20 +466,20 @@ def _disc(
     if below < low[DISCS] + required.discs + _whole(i, ends, moved, team, required):
         _deviations(i, ends, moved, team, required, strands, strands.off[0])
         limits = required.discs, 0.0, offset
-        _from_body(DISCS, k, i, limits, team, required, strands, low, here)
+        _from_body(DISCS, (k, i), limits, team, required, strands, low, here)
 
 
 @inner
 def _from_body(
-    kind: int, k: int, i: int, limits: tuple[float, float, float], team: Team, required: Required,
-    strands: Strands, low: Floats, here: Floats,
+    kind: int, pair: tuple[int, int], limits: tuple[float, float, float], team: Team,
+    required: Required, strands: Strands, low: Floats, here: Floats,
 ) -> None:  # fmt: skip
     """Lower the margins of a kind to that of a vehicle and a strand.
 
     ``limits`` are the required distance, how far the vehicle may move, and the height of its lowest
     point over its grip; the first row of ``strands.off`` says how far the strand's pieces may.
     """
-    apart, moved, tip = limits
+    (apart, moved, tip), (k, i) = limits, pair
     points, grip, body = strands.points[i], team.position[k], required.body
     reach, arc = math.hypot(body.radius, body.grip_offset - tip), _arc(i, required)
     for p in range(_PIECES):

@@ -165,7 +165,8 @@ def _model(plan: Plan, assessment: Assessment) -> str:
     if not assessment.swing_certified:
         return quasi_static
     return (
-        " in the swinging-cable model for the planned motion and one ordinary stop or resume,"
+        " in the swinging-cable model for the planned motion and one ordinary stop, or one "
+        "resume of a cable at rest,"
         f"{quasi_static}"
     )
 

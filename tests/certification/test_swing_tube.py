@@ -251,13 +251,14 @@ def test_the_default_overhand_is_certified_for_a_swinging_cable() -> None:
     assert result.assessment.swing_certified
     basis = basis_of(result.certified(), cable=True)
     assert basis.checked == (
-        "certified in the swinging-cable model for the planned motion and one ordinary stop or "
-        "resume, in the quasi-static cable model for tracking errors of up to 0.1 m"
+        "certified in the swinging-cable model for the planned motion and one ordinary stop, or "
+        "one resume of a cable at rest, in the quasi-static cable model for tracking errors of up to 0.1 m"
     )
     (scope,) = (found for found in result.assessment.findings if found.check == "scope")
     assert scope.message.startswith(
-        "certified in the swinging-cable model for the planned motion and one ordinary stop or "
-        "resume at any moment of the fold, in the quasi-static cable model for every tracking error"
+        "certified in the swinging-cable model for the planned motion and one ordinary stop, or "
+        "one resume of a cable at rest, at any moment of the fold, in the quasi-static cable model "
+        "for every tracking error"
     )
 
 

@@ -146,7 +146,13 @@ def test_after_a_stream_loss_the_clearances_of_its_certificate_are_required():
     assessment = replace(assessment, vehicle=replace(assessment.vehicle, distance=1.2))
     nothing = np.zeros(0)
     certificate = StreamLossCertificate(
-        nothing, nothing, WorstLoss(0.0, 0.0, 1), nothing, StreamLossModel(), digest(PLAN.plan)
+        nothing,
+        nothing,
+        nothing,
+        WorstLoss(0.0, 0.0, 1),
+        nothing,
+        StreamLossModel(),
+        digest(PLAN.plan),
     )
     without = SimpleNamespace(plan=PLAN.plan, assessment=replace(assessment, stream_loss=None))
     with_certificate = SimpleNamespace(
