@@ -10,7 +10,7 @@ import pytest
 from scipy.interpolate import BPoly
 from scipy.optimize import brentq
 
-from swarm.certification.clearances import STILL_AIR, families
+from swarm.certification.clearances import families
 from swarm.geometry.motion import through_states
 from tests.certification.synthetic import plan_of
 
@@ -102,7 +102,7 @@ def test_no_random_motion_near_the_limit_is_falsely_accepted(least, most, count)
         tracking = rng.uniform(least, most)
         motion, lengths, room = drawn(rng, tracking)
         keys = f"cable.diameter={DIAMETER}", f"clearance.cable={REQUIRED}"
-        every = families(plan_of(motion, lengths, *keys), tracking, STILL_AIR)
+        every = families(plan_of(motion, lengths, *keys), tracking)
         (family,) = (each for each in every if each.check == "cable clearance")
         accepted = family.failing() is None
         assert not (accepted and room < 0.0), (tracking, room, motion, lengths)
