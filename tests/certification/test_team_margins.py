@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarm.certification.clearances import STILL_AIR, families, limits
+from swarm.certification.clearances import families, limits
 from swarm.certification.compared_pairs import exempt_length
 from swarm.certification.coverage import COVERAGE, coverage_table
 from swarm.certification.monitor import Monitor
@@ -203,7 +203,7 @@ def test_the_printed_table_says_who_compares_what() -> None:
     workspace = plan.mission.workspace.model_copy(update={"fence": fence})
     mission = plan.mission.model_copy(update={"workspace": workspace})
     plan = replace(plan, mission=mission)
-    checks = {family.check for family in (*families(plan, 0.1, STILL_AIR), *limits(plan))}
+    checks = {family.check for family in (*families(plan, 0.1), *limits(plan))}
     covered = {check for row in COVERAGE for check in row.checks}
     assert checks <= covered
     assert covered - checks <= {"straight down", "ground"}
