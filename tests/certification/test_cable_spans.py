@@ -66,7 +66,9 @@ def test_strands_that_pass_through_each_other_under_another_name(tmp_path, name)
     places = [str(problem) for problem in result.exception.problems]
     before = {"takeoff", "grab", "land"}
     line = 2 + 4 * 40 if name in before else 2 + 4 * 280
-    assert places[0].startswith(str(tmp_path / "motion.csv") + f": line {line}: phase: expected ")
+    assert places[0].startswith(
+        str(tmp_path / "motion.csv") + f": line {line}, column 12: phase: expected "
+    )
 
 
 def test_strands_that_pass_through_each_other_in_the_fold(tmp_path):
@@ -196,7 +198,7 @@ def test_rows_of_one_time_share_a_phase():
     with pytest.raises(InputError) as error:
         read_motion("\n".join([header, *rows]), "m.csv")
     assert [str(problem) for problem in error.value.problems] == [
-        "m.csv: line 3: phase: expected fold as for vehicle 1 at that time, got hold"
+        "m.csv: line 3, column 12: phase: expected fold as for vehicle 1 at that time, got hold"
     ]
 
 
