@@ -32,7 +32,7 @@ def test_a_clock_at_standstill_for_lack_of_clearance_is_reported_and_ends_in_lan
     fleet = fleet.model_copy(update={"limits": fleet.limits.model_copy(update={"hold": 4.0})})
     result = simulate_flight(TOO_NEAR, fleet=fleet)
     said = [event.message for event in result.events if event.kind == "failure"]
-    assert said[0].startswith("standstill: no clearance remains (strands ")
+    assert said[0].startswith("standstill: no clearance remains (vehicle clearance: margin -")
     (apart,) = re.findall(r"vehicles ([0-9.]+) m apart", said[0])
     assert float(apart) == pytest.approx(3.0, abs=0.1)
     assert said[1].startswith("hold timeout: on hold for 4 s")

@@ -31,9 +31,9 @@ def test_a_vehicle_whose_height_has_drifted_holds_the_team_until_the_operator_sa
     vehicle = flight.conductor.flyers[2]
     drifted = vehicle.receive
 
-    def receive(packet, now):
+    def receive(packet, now, *rest):
         before = vehicle.height_difference
-        drifted(packet, now)
+        drifted(packet, now, *rest)
         vehicle.height_difference += 0.5 if vehicle.height_difference != before else 0.0
 
     vehicle.receive = receive

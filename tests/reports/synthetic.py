@@ -97,7 +97,9 @@ def snapshot_at(plan: Plan, time: float) -> Snapshot:
         gripped=tuple(bool(g) for g in gripped),
         battery=np.clip(1.0 - time / 400.0 - 0.004 * each, 0.0, 1.0),
         link_age=0.02 + 0.02 * np.abs(np.sin(3.1 * time + each)),
-        clearances=Clearances(0.6, 2.1, 0.93, 0.3 + 0.1 * np.sin(time)) if gripped.all() else None,
+        clearances=Clearances(0.6, 2.1, 0.93, 0.3 + 0.1 * np.sin(time), "cable clearance")
+        if gripped.all()
+        else None,
         round_trip=0.02 + 0.01 * np.abs(np.sin(0.3 * time + each)),
         received=np.floor(40.0 * time + each),
         lost=np.floor(0.4 * time * (each % 3)),
