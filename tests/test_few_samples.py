@@ -111,4 +111,4 @@ def test_rotors_and_distances_of_any_team_at_any_number_of_moments(team, moments
     for cable in ("free", "floor", "lifting", "aloft"):
         found = Monitor(plan).clearances(position, cable)
         assert len(found) == moments
-        assert n > 1 or all(one.vehicle == np.inf for one in found)
+        assert n > 1 or all(one.vehicle == one.cable == np.inf for one in found)
