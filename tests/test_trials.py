@@ -285,19 +285,6 @@ def test_results_are_one_row_per_trial(tmp_path):
         write_results(tmp_path / "none" / "a.parquet", [(PLAN, [trial()])], 1, CALM)
 
 
-def test_a_release_at_the_end_of_the_hold_is_not_a_lost_grip():
-    """The gate of the release may lie a rounding before the end of the hold."""
-    plan = FLIGHT_PLAN.plan
-    early = tuple(
-        replace(gate, time=gate.time - 1e-12) if gate.condition == "released" else gate
-        for gate in plan.gates
-    )
-    slow = Spread(wind=0, gust=0, loss=0, latency=0, jitter=0, mass=0, failing=0)
-    earlier = replace(plan, gates=early)
-    flown, _ = fly_trial(CertifiedPlan(earlier, certify(earlier)), slow, 5, 0)
-    assert (flown.outcome, flown.reason) == ("done", "")
-
-
 def test_the_terminal_shows_completion_distances_and_the_worst_trials():
     trials = [trial(0), trial(1, failure="vehicle 2: link", outcome="failed", reason="lost")]
     certified = certify_clearances(PLAN, trials, 1)

@@ -145,8 +145,7 @@ class _GroundTruthSampler:
 def _at_release(conductor: Conductor) -> bool:
     """Return whether the mission clock has reached the gate at which grippers open.
 
-    The clock stops within a rounding error of the gate, which is within a rounding error of the end
-    of the hold.
+    The clock stops within a rounding error of the gate.
     """
     return any(
         gate.condition == "released" and conductor.clock.time >= gate.time - _ROUNDING
