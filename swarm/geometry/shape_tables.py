@@ -76,46 +76,81 @@ def bounds_over_cells(nodes: Nodes, figure: Floats, parts: int) -> Floats:
     ``figure`` (r, e, p) holds its values at the nodes; ``parts`` is the number of equal
     parts of the strand.
     """
+    rows, columns, points = figure.shape
     ratio = np.log(nodes.ratio / (1.0 - nodes.ratio))
-    steps = ratio, nodes.steepness, np.arange(float(figure.shape[2]))
-    bounds = _over_corners(figure, np.maximum)
-    for axis, at in enumerate(steps):
-        bounds += _over_corners(_remainder(figure, at, axis), np.maximum, axis)
-    begin = _over_corners(nodes.fraction, np.minimum)
-    end = _over_corners(nodes.fraction, np.maximum)
-    found = np.zeros((*bounds.shape[:2], parts))
-    _write_parts(bounds, begin, end, found)
+    by_ratio, by_steepness, by_point = (
+        _remainder(figure, at, axis)
+        for axis, at in enumerate((ratio, nodes.steepness, np.arange(float(points))))
+    )
+    found = np.zeros((rows - 1, columns - 1, parts))
+    _write_parts(figure, by_ratio, by_steepness, by_point, nodes.fraction, found)
     return found
-
-
-def _over_corners(values: Floats, extreme: np.ufunc, done: int | None = None) -> Floats:
-    """Return the extremes over the corners of every cell, but for an axis that is ``done``."""
-    for axis in range(3):
-        if axis != done:
-            values = np.moveaxis(values, axis, 0)
-            values = np.moveaxis(extreme(values[:-1], values[1:]), 0, axis)
-    return values
 
 
 def _remainder(figure: Floats, at: Floats, axis: int) -> Floats:
     """Return the remainder of interpolation in every step along an axis, with nodes ``at``."""
-    values = np.moveaxis(figure, axis, 0)
-    width = np.diff(at)[:, None, None]
-    slope = np.diff(values, axis=0) / width
-    second = np.abs(2.0 * np.diff(slope, axis=0) / (width[:-1] + width[1:]))
-    around = np.concatenate([second[:1], second, second[-1:]])
-    remainder = 2.0 * width**2 / 8.0 * np.maximum(around[:-1], around[1:])
-    return np.moveaxis(remainder, 0, axis)
+    count, shape = len(at), list(figure.shape)
+    shape[axis] -= 1
+    found = np.empty(shape)
+    inside = int(np.prod(shape[axis + 1 :]))
+    _write_remainder(
+        figure.reshape(-1, count, inside), np.diff(at), found.reshape(-1, count - 1, inside)
+    )
+    return found
 
 
 @compiled
-def _write_parts(bounds: Floats3, begin: Floats3, end: Floats3, found: Floats3) -> None:
-    """Write the largest bounds (r, e, parts) of the cells that reach into each part."""
+def _write_remainder(figure: Floats3, width: Floats1, found: Floats3) -> None:
+    """Write the remainder in every step along the second axis, of steps with widths.
+
+    The second derivative in a step is the larger of those at both of its nodes; the first and the
+    last node have that of their neighbour.
+    """
+    count = len(width) + 1
+    for i in range(figure.shape[0]):
+        for j in range(count - 1):
+            factor = 2.0 * width[j] ** 2 / 8.0
+            low, high = max(j, 1), min(j + 1, count - 2)
+            for k in range(figure.shape[2]):
+                largest = 0.0
+                for node in (low, high):
+                    after = (figure[i, node + 1, k] - figure[i, node, k]) / width[node]
+                    before = (figure[i, node, k] - figure[i, node - 1, k]) / width[node - 1]
+                    second = abs(2.0 * (after - before) / (width[node - 1] + width[node]))
+                    largest = max(largest, second)
+                found[i, j, k] = factor * largest
+
+
+@compiled
+def _write_parts(
+    figure: Floats3, by_ratio: Floats3, by_steepness: Floats3, by_point: Floats3,
+    fraction: Floats3, found: Floats3,
+) -> None:  # fmt: skip
+    """Write the largest bounds (r − 1, e − 1, parts) of the cells that reach into each part.
+
+    The bound of a cell is the largest figure at its corners and, for each coordinate, the largest
+    remainder at the four edges along it.
+    """
     parts = found.shape[2]
-    for i in range(bounds.shape[0]):
-        for j in range(bounds.shape[1]):
-            for k in range(bounds.shape[2]):
-                first = min(int(begin[i, j, k] * parts), parts - 1)
-                last = min(max(int(np.ceil(end[i, j, k] * parts)) - 1, first), parts - 1)
+    for i in range(found.shape[0]):
+        for j in range(found.shape[1]):
+            for k in range(figure.shape[2] - 1):
+                most = ratio = steepness = point = end = 0.0
+                begin = 1.0
+                for a in (i, i + 1):
+                    for b in (j, j + 1):
+                        point = max(point, by_point[a, b, k])
+                        begin = min(begin, fraction[a, b, k])
+                        end = max(end, fraction[a, b, k + 1])
+                        for c in (k, k + 1):
+                            most = max(most, figure[a, b, c])
+                for c in (k, k + 1):
+                    for b in (j, j + 1):
+                        ratio = max(ratio, by_ratio[i, b, c])
+                    for a in (i, i + 1):
+                        steepness = max(steepness, by_steepness[a, j, c])
+                bound = most + ratio + steepness + point
+                first = min(int(begin * parts), parts - 1)
+                last = min(max(int(np.ceil(end * parts)) - 1, first), parts - 1)
                 for part in range(first, last + 1):
-                    found[i, j, part] = max(found[i, j, part], bounds[i, j, k])
+                    found[i, j, part] = max(found[i, j, part], bound)
