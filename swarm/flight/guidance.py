@@ -96,7 +96,7 @@ class Guidance:
         self._blend = np.zeros((n, 3))
         self._blend_since = np.zeros(n)
         self._blend_time = np.ones(n)
-        self._blending = False
+        self.blending = False
         self._separation: tuple[float, float, Sampler] | None = None
         self.duration = 0.0
         self._descent: Descent | None = None
@@ -111,7 +111,7 @@ class Guidance:
         self._blend_since[k] = now
         distance = float(np.linalg.norm(self._blend[k]))
         self._blend_time[k] = max(SHORTEST_BLEND, 1.875 * distance / BLEND_SPEED)
-        self._blending = True
+        self.blending = True
 
     def follow(self, motion: Motion, now: float) -> None:
         """Leave the plan for a motion in real time that begins at rest at the present setpoints."""
@@ -148,7 +148,7 @@ class Guidance:
             since, start, sampler = self._separation
             return sampler.at(start + now - since)
         state = self._plan.at(clock.time, clock.rate, clock.slope)
-        return self._blended(state, now) if self._blending else state
+        return self._blended(state, now) if self.blending else state
 
     def _blended(self, state: State, now: float) -> State:
         u = np.clip((now - self._blend_since) / self._blend_time, 0.0, 1.0)[:, None]
@@ -158,7 +158,7 @@ class Guidance:
         bending = -60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / time**2
         if np.all(u >= 1.0):
             self._blend[:] = 0.0
-            self._blending = False
+            self.blending = False
         return State(
             state.position + self._blend * left,
             state.velocity + self._blend * slowing,

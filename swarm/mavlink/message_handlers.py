@@ -29,8 +29,9 @@ _POSITION_SENSORS = int(
 )
 _ORIGIN_MOVED = 0.05
 _MAX_POSITION_AGE = 0.3
-_MAX_VERTICAL_SPEED = 0.3
-"""m/s: below it, heights that are not reported at the same time can be compared."""
+_MAX_VERTICAL_SPEED = 0.5
+"""m/s: below it, a receiver's height is at most 0.1 m behind: receivers are up to 0.2 s late; PX4
+assumes 0.11 s (EKF2_GPS_DELAY)."""
 _HEIGHT_DRIFT = 0.2
 """m/s: a receiver with an accuracy of one metre is averaged over five seconds."""
 _MAX_MISMATCH = 1.0
@@ -120,10 +121,10 @@ def _gps(vehicle: VehicleState, message: Message, now: float) -> None:
     vehicle.vertical_accuracy = message.v_acc * 1e-3 if message.v_acc else math.nan
     if vehicle.origin is None or message.fix_type < 3:
         return
-    age = now - vehicle.position_at
-    if age < _MAX_POSITION_AGE and abs(vehicle.velocity[2]) < _MAX_VERTICAL_SPEED:
-        difference = message.alt * 1e-3 - (vehicle.origin.altitude - vehicle.position[2])
-        _average_height(vehicle, difference, now)
+    age, sinking = now - vehicle.position_at, vehicle.velocity[2]
+    if age < _MAX_POSITION_AGE and abs(sinking) < _MAX_VERTICAL_SPEED:
+        height = vehicle.origin.altitude - vehicle.position[2] - age * sinking
+        _average_height(vehicle, message.alt * 1e-3 - height, now)
 
 
 def _average_height(vehicle: VehicleState, difference: float, now: float) -> None:

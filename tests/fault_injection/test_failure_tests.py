@@ -300,10 +300,13 @@ def test_the_others_stay_above_a_vehicle_that_drifts_until_it_is_down(team, kind
     assert not flight.emulator.truth().contacts
 
 
-def moving_to_a_landing(team: str, *, releasable: bool = False) -> SteppedSimulation:
+def moving_to_a_landing(
+    team: str, *, releasable: bool = False, after: str | None = None
+) -> SteppedSimulation:
     """A flight whose operator commands to land, in the fold and five seconds before all can.
 
-    Until then, no vehicle may land, and all may release or none.
+    Until then, no vehicle may land, and all may release or none. The command comes two seconds
+    ``after`` a fault of vehicle 2, if there is one.
     """
     flight = SteppedSimulation.create(PLAN, failure_test_fleet(3, team), seed=2)
     start = PLAN.plan.phase("fold").start
@@ -314,6 +317,12 @@ def moving_to_a_landing(team: str, *, releasable: bool = False) -> SteppedSimula
     later = time > start + 6.0
     windows = ContingencyWindows(time, later, later | releasable)
     state.setup = replace(state.setup, windows=windows)
+    if after is not None:
+        flight.emulator.inject(
+            Fault.model_validate({"at": flight.now, "vehicle": 2, "kind": after})
+        )
+        for _ in range(40):
+            flight.step()
     flight.conductor.request("land")
     return flight
 
@@ -339,6 +348,17 @@ def test_a_team_that_moves_to_a_landing_leaves_no_vehicle_behind(team, direction
     # A vehicle stops after half a second without setpoints, and lands by itself after T.
     flight = moving_to_a_landing(team)
     loses_setpoints(flight, direction, at=flight.now + 0.3)
+    assert longest_chord_until_down(flight) < 0.9
+
+
+@pytest.mark.parametrize("team", ["ardupilot", "px4"])
+def test_a_vehicle_that_left_offboard_mode_returns_where_the_team_must_move_to_land(team):
+    flight = moving_to_a_landing(team, after="leave_offboard")
+    while not flight.conductor.state.guidance.descending:
+        flight.step()
+    words = [event.message for event in flight.events if event.kind == "rejoin"]
+    assert words == ["vehicle 2 follows again"]
+    assert flight.conductor.clock.time > PLAN.plan.phase("fold").start + 6.0
     assert longest_chord_until_down(flight) < 0.9
 
 

@@ -514,6 +514,18 @@ def test_modes_are_commanded_as_each_autopilot_expects():
         assert (message.param1, message.param2, message.param3) == (1.0, main, sub)
 
 
+@pytest.mark.parametrize("climb", [-0.45, 0.3, 0.45])
+@pytest.mark.parametrize("age", [0.0, 0.1, 0.25])
+def test_the_satellite_height_is_compared_with_the_height_of_its_own_time(climb, age):
+    wire = Wire()
+    wire(heartbeat())
+    wire(common.MAVLink_gps_global_origin_message(0, 0, 100_000))
+    wire(common.MAVLink_local_position_ned_message(0, 0, 0, -5.0, 0, 0, -climb), 0.0)
+    millimetres = round(1000 * (105.4 + climb * age))
+    wire(common.MAVLink_gps_raw_int_message(0, 3, 0, 0, millimetres, 90, 178, 0, 0, 10), age)
+    assert wire.vehicle.height_difference == pytest.approx(0.4, abs=1e-3)
+
+
 @pytest.mark.parametrize(("accuracy", "window"), [(0.02, 0.0), (1.0, 5.0), (1.78, 9.0)])
 def test_the_satellite_height_is_averaged_longer_for_poor_receivers(accuracy, window):
     wire = Wire()

@@ -63,11 +63,12 @@ def _arrived(flight: FlightState, contingency: Contingency) -> bool:
 def _rate(flight: FlightState, target: float | None) -> float:
     """Return the clock's rate towards a mission time, as slow as in the plan where that is needed.
 
-    The team waits for a silent vehicle: one that does not follow must not be left behind.
+    The team waits for a vehicle that is silent or returns to offboard mode: one that does not
+    follow must not be left behind.
     """
     clock = flight.clock
     left = 0.0 if target is None else target - clock.time
-    if abs(left) < 0.02 or _any_silent(flight):
+    if abs(left) < 0.02 or _any_silent(flight) or _rejoins(flight):
         return 0.0
     braking = 0.5 * math.sqrt(2.0 * clock.steepest * abs(left))
     return math.copysign(min(allowed_pace(flight, backwards=left < 0.0), braking), left)
@@ -75,6 +76,10 @@ def _rate(flight: FlightState, target: float | None) -> float:
 
 def _any_silent(flight: FlightState) -> bool:
     return not all(flight.received(vehicle) for vehicle in flight.roster.vehicles)
+
+
+def _rejoins(flight: FlightState) -> bool:
+    return bool(flight.streams.rejoining) or flight.guidance.blending
 
 
 def _notice_alone(flight: FlightState, contingency: Contingency) -> Contingency:
@@ -91,7 +96,7 @@ def _notice_motion(flight: FlightState, contingency: Contingency) -> Contingency
     One that receives nothing soon lands by itself: the others must not descend before it.
     """
     moves = abs(flight.clock.rate) >= STOPPED_RATE
-    waits = _any_silent(flight) or bool(unanswering(flight))
+    waits = _any_silent(flight) or bool(unanswering(flight)) or _rejoins(flight)
     if moves or waits or _arrived(flight, contingency):
         return replace(contingency, moving_at=flight.now)
     return contingency

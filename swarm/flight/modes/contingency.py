@@ -12,6 +12,7 @@ import numpy as np
 from swarm.analysis.separation import separation_motion, solo_landing_distance
 from swarm.flight.ending import finish, mark_failed
 from swarm.flight.modes.approach import at_rest, contingency_of, move_on, stopped
+from swarm.flight.modes.rejoin import continue_rejoining, outside
 from swarm.flight.modes.transitions import change_stage
 from swarm.flight.modes.windows import (
     LONGEST_HOVER,
@@ -28,7 +29,7 @@ from swarm.flight.policy import End, Response, Windows, end_of
 from swarm.flight.progress import first_time, leave_plan
 from swarm.flight.stages import Stage, Step, StepTrigger, Trigger, next_step
 from swarm.flight.state import Contingency, FlightState
-from swarm.flight.streams import give_up, stop_stream, stop_streams_of_landing
+from swarm.flight.streams import begin_rejoining, give_up, stop_stream, stop_streams_of_landing
 from swarm.mavlink.vehicle import Vehicle
 
 TOUCHDOWN = 0.05
@@ -65,7 +66,8 @@ def leave_the_plan(
     """Begin a contingency; before the flight, end it.
 
     ``move`` says whether the team may move along the plan first (None: LAND and RELEASE do). Only a
-    team whose vehicles all follow moves. ``announced`` replaces the usual words of the event.
+    team whose vehicles all follow moves: where it can neither land nor release as it stands, those
+    that left offboard mode are asked to return. ``announced`` replaces the usual words.
     """
     if flight.stage in {Stage.PREPARE, Stage.READY}:
         finish(flight, "interrupted", message)
@@ -75,6 +77,9 @@ def leave_the_plan(
     leave_plan(flight)
     change_stage(flight, Trigger.LEAVE_PLAN)
     moves = response in {Response.LAND, Response.RELEASE} if move is None else move
+    if moves and flight.attached and windows(flight) is Windows.NEITHER:
+        for k in outside(flight):
+            begin_rejoining(flight, k)
     here = response is Response.RELEASE_HERE
     flight.contingency = Contingency(
         response=Response.LAND_HERE if here else response,
@@ -126,6 +131,7 @@ def release_if_open(flight: FlightState, message: str = "") -> None:
 
 def tick(flight: FlightState) -> bool:
     """Go on; return whether all vehicles are down and disarmed, or given up."""
+    continue_rejoining(flight)
     _STEPS[contingency_of(flight).step](flight)
     return _finished(flight)
 

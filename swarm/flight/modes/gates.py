@@ -12,14 +12,13 @@ import numpy as np
 from swarm.flight.failures import OPERATOR
 from swarm.flight.holds import hold
 from swarm.flight.modes.contingency import DISARM_AFTER
+from swarm.flight.modes.rejoin import STREAM_BEFORE_OFFBOARD
 from swarm.flight.progress import first_time, not_settled
 from swarm.flight.state import FlightState
 from swarm.flight.streams import expect_armed, start_stream, stop_streams_of_landing
 from swarm.mavlink.vehicle import Vehicle
 from swarm.planning import Condition
 
-STREAM_BEFORE_OFFBOARD = 1.0
-"""Seconds of setpoints before offboard mode is commanded (PX4 requires a stream first)."""
 STREAM_AFTER_TAKEOFF = 0.8
 """Share of the take-off height from which a vehicle that takes off by itself gets setpoints."""
 TAKEOFF_HEIGHT = 1.0

@@ -1,14 +1,16 @@
 """Return vehicles that left offboard mode to the team, when the operator agrees.
 
-Setpoints to such a vehicle begin at its position; the team holds meanwhile.
+Setpoints to such a vehicle begin at its position; the team holds meanwhile. Without the operator's
+consent, a team returns them only to move to where it can land.
 """
 
 from swarm.flight.failures import OPERATOR
 from swarm.flight.holds import end_vehicle, hold
-from swarm.flight.modes.gates import STREAM_BEFORE_OFFBOARD
 from swarm.flight.state import FlightState
 from swarm.flight.streams import begin_rejoining, end_rejoining, stop_stream
 
+STREAM_BEFORE_OFFBOARD = 1.0
+"""Seconds of setpoints before offboard mode is commanded (PX4 requires a stream first)."""
 REJOIN_TIMEOUT = 6.0
 """Seconds after which a vehicle that does not return to offboard mode gets no more setpoints."""
 

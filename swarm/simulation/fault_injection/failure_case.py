@@ -27,10 +27,11 @@ class FailureCase:
     - ``loses_vehicle``: the fault itself takes a vehicle out of the air. ``moves_certified``: it
       moves vehicles or cable beyond the certificate. ``vehicle_drifts``: it does so with one
       vehicle, and with the cable only where it cannot be released.
-    - ``allowed_strikes``: number of rotors that may touch cable. With ``cannot_follow`` the vehicle
-      stays where it is and the others with it; one more rotor may touch cable where the team can
+    - ``allowed_strikes``: number of rotor strikes on cable that may happen; contacts of one vehicle
+      that are more than a second apart are several. With ``cannot_follow`` the vehicle
+      stays where it is and the others with it; one more strike may happen where the team can
       neither land nor release without cable on a rotor. With ``lands_alone`` the failsafes
-      of the autopilots land the vehicles where they are; one more rotor may touch cable where the
+      of the autopilots land the vehicles where they are; one more strike may happen where the
       plan has no window for landing. During the first ``fall_time`` seconds any number may: the
       cable falls because of the fault.
     - ``stream_loss``: vehicles fly on without setpoints, so the worst case of the stream loss
