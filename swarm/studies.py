@@ -319,5 +319,5 @@ def _point(mission: Mission, variant: str, progress: Progress | None) -> FrontPo
         cable_length=float(plan.layout.lengths.sum()),
         fold_time=fold.duration,
         max_tracking_error=largest_tracking(plan, assessment.moments) or 0.0,
-        payload=float(loads(plan).force.max()) / STANDARD_GRAVITY,
+        payload=float(loads(plan).force.max(initial=0.0)) / STANDARD_GRAVITY,
     )

@@ -9,9 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
+from swarm.analysis.rope import planned_grips, simulate_rope
 from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.certification.contingency_windows import rotors_clear
 from swarm.certification.monitor import Monitor
+from swarm.errors import Refused
 from swarm.flight.adherence import adherence
 from swarm.flight.flight_plan import basis_of
 from swarm.flight.recorder import Recorder
@@ -20,23 +22,37 @@ from swarm.flight.trace import Trace
 from swarm.formats.samples import sampled_flight
 from swarm.formats.table import samples_table
 from swarm.mission import parse_mission
+from swarm.mission.fleet import emulated_fleet
 from swarm.planning.candidates import make_plan
 from swarm.reports.flight_json import outcome_object
 from swarm.reports.flight_report import flight_report
 from swarm.reports.flight_text import print_outcome
+from swarm.reports.layout_sheet import layout_sheet
+from swarm.reports.plan_report import plan_report
 from swarm.reports.plots import flight_figure
+from swarm.simulation.monte_carlo.spread import Spread, draw
 from swarm.verification import verify_trace
-from swarm.view.replay import write_flight
+from swarm.view.replay import write_flight, write_plan
 from tests.shared import shared
 
 FIRST_STEPS = Path(__file__).parents[1] / "missions" / "first-steps"
-TEAMS = (1, "hover"), (2, "two_carry"), (3, "pass_over")
+TEAMS = (1, "hover"), (2, "two_carry"), (3, "pass_over"), (4, "four")
+FOUR = """
+schema: 1
+name: four without cable
+formation:
+  places:
+    - [[0, 0, 3], [2, 0, 3], [4, 0, 3], [6, 0, 3]]
+    - [[0, 1, 3], [2, 1, 3], [4, 1, 3], [6, 1, 3]]
+vehicles: {max_speed: 1.0}
+"""
 
 
 @shared
 def flown(name: str) -> CertifiedPlan:
     path = FIRST_STEPS / f"{name}.yaml"
-    plan = make_plan(parse_mission(path.read_text(), str(path)))
+    text = FOUR if name == "four" else path.read_text()
+    plan = make_plan(parse_mission(text, str(path)))
     return CertifiedPlan(plan, certify(plan))
 
 
@@ -64,13 +80,14 @@ def test_a_trace_has_its_shape_whatever_there_is_of_it(n, segments, samples) -> 
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
-    ("n", "name", "samples", "phase", "known"),
+    ("name", "samples", "phase", "known"),
     [
-        (1, "hover", 0, "", True),
-        (1, "hover", 2, "hold", False),
-        (2, "two_carry", 1, "fold", True),
+        ("hover", 0, "", True),
+        ("hover", 2, "hold", False),
+        ("two_carry", 1, "fold", True),
+        ("four", 2, "hold", True),
         *(
-            pytest.param(*team, samples, phase, known, marks=pytest.mark.full)
+            pytest.param(team[1], samples, phase, known, marks=pytest.mark.full)
             for team in TEAMS
             for samples in (0, 1, 2)
             for phase, known in (("", True), ("fold", True), ("hold", False))
@@ -78,12 +95,12 @@ def test_a_trace_has_its_shape_whatever_there_is_of_it(n, segments, samples) -> 
     ],
 )
 def test_every_reader_of_a_trace_reads_a_short_one(
-    n: int, name: str, samples: int, phase: str, known: bool, tmp_path: Path
+    name: str, samples: int, phase: str, known: bool, tmp_path: Path
 ) -> None:
     flight_plan = flown(name)
     plan, assessment = flight_plan.plan, flight_plan.assessment
     trace = trace_of(flight_plan, samples, phase, known=known)
-    basis = basis_of(flight_plan, cable=n > 1)
+    basis = basis_of(flight_plan, cable=len(plan.layout.lengths) > 0)
     ended = Outcome("failed", "not received: vehicle 1")
     counted = Statistics(3.0, 0, None, {}, {}, {})
     kept = adherence(plan, trace, basis)
@@ -99,6 +116,22 @@ def test_every_reader_of_a_trace_reads_a_short_one(
     write_flight(plan, trace, (), tmp_path / "flight.rrd")
 
 
+@pytest.mark.parametrize("name", ["hover", "four"])
+def test_a_plan_without_cable_has_pages_curves_and_trials(name: str, tmp_path: Path) -> None:
+    flight_plan = flown(name)
+    plan = flight_plan.plan
+    assert "<h2>" in plan_report(plan, flight_plan.assessment)
+    sheet = layout_sheet(plan)
+    assert f">{plan.vehicles}<" in sheet
+    assert "cut the cable" not in sheet
+    assert "Lay line" not in sheet
+    write_plan(plan, tmp_path / "plan.rrd")
+    drawn = draw(plan, emulated_fleet(plan.vehicles), Spread(), seed=1, trial=0)
+    assert drawn.world.get("cable") is None
+    with pytest.raises(Refused, match="the mission has no cable"):
+        simulate_rope(plan, planned_grips(plan))
+
+
 @settings(max_examples=30)
 @given(team=st.sampled_from(TEAMS), moments=st.integers(0, 3), data=st.data())
 def test_rotors_and_distances_of_any_team_at_any_number_of_moments(team, moments, data) -> None:
@@ -107,8 +140,9 @@ def test_rotors_and_distances_of_any_team_at_any_number_of_moments(team, moments
     position = plan.motion.at(np.array(times))[0]
     clear = rotors_clear(plan, position)
     assert clear.shape == (moments,)
-    assert n > 1 or clear.all()
-    for cable in ("free", "floor", "lifting", "aloft"):
+    assert len(plan.layout.lengths) or clear.all()
+    held = ("lifting", "aloft") if n == 1 or len(plan.layout.lengths) else ()
+    for cable in ("free", "floor", *held):
         found = Monitor(plan).clearances(position, cable)
         assert len(found) == moments
         assert n > 1 or all(one.vehicle == one.cable == np.inf for one in found)

@@ -110,9 +110,11 @@ def simulate_rope(
 
     ``links`` are distributed over the segments by length (None: LINK metres each); ``wind`` is in
     m/s, ENU. Where the plan tightens, its inner vehicles then release and the ends move apart.
-    Raises :class:`Refused` where the rope is too short for the grips at the beginning.
+    Raises :class:`Refused` without cable, or where it is too short for the grips at the beginning.
     """
     lengths = plan.layout.lengths
+    if not len(lengths):
+        raise Refused("the mission has no cable, and so no rope")
     start = grips.places[0]
     if np.any(np.linalg.norm(np.diff(start, axis=0), axis=1) > NEARLY_STRAIGHT * lengths):
         raise Refused("the rope cannot hang between its grips: they begin too far apart")

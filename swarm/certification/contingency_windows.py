@@ -123,11 +123,13 @@ def rotors_clear(plan: Plan, position: Floats) -> Flags:
     AROUND_ROTORS.
     """
     vehicles, lengths = plan.mission.vehicles, plan.layout.lengths
+    if not len(lengths):
+        return np.ones(len(position), dtype=bool)
     chords = np.linalg.norm(np.diff(position, axis=1), axis=-1)
     cable = polyline(position, np.maximum(lengths, chords / _NEARLY_STRAIGHT), _PIECES)
     reach = vehicles.radius + vehicles.tracking + AROUND_ROTORS
     # Points are up to a piece apart: the middle between two is nearer than both.
-    reach += 0.5 * float(lengths.max(initial=0.0)) / _PIECES
+    reach += 0.5 * float(lengths.max()) / _PIECES
     aside = np.hypot(
         cable[:, None, :, 0] - position[:, :, None, 0],
         cable[:, None, :, 1] - position[:, :, None, 1],

@@ -119,7 +119,7 @@ def _pictures(plan: Plan, trace: Trace) -> list[Picture]:
         pictures.append(picture(figure, title, wide=True))
     aloft = np.flatnonzero(_aloft(trace))
     sampled = aloft[:: sampling_step(trace)]
-    if plan.vehicles >= 4 and len(sampled):
+    if len(plan.layout.lengths) >= 3 and len(sampled):
         figure, axes = plots.new_axes((8.0, 2.8))
         distance = smallest_strand_distances(plan, trace.position[sampled])
         required = plan.mission.clearance.cable

@@ -68,19 +68,22 @@ def layout_sheet(plan: Plan, fleet: Fleet | None = None, systems: Sequence[int] 
     """
     grips, pads = grip_places(plan), plan.motion.at(0.0)[0]
     marks = grip_marks(plan)
-    cable_mass = plan.mission.cable.mass_per_length * marks[-1]
-    return render(
-        "layout_sheet.html.j2",
-        mission=plan.mission,
-        figures=[
+    cable = len(marks) > 0
+    figures: list[tuple[str, object]] = []
+    if cable:
+        cable_mass = plan.mission.cable.mass_per_length * marks[-1]
+        figures = [
             ("cut the cable to", f"{marks[-1] + END_PIECE:.2f} m"),
             ("of this free at each end", f"{END_PIECE:.2f} m"),
             ("grip marks", len(marks)),
             ("mass of the cable", f"{1000 * cable_mass:.0f} g"),
-            ("vehicles", plan.vehicles),
-        ],
+        ]
+    return render(
+        "layout_sheet.html.j2",
+        mission=plan.mission,
+        figures=[*figures, ("vehicles", plan.vehicles)],
         vehicles=_vehicle_rows(plan, _labels(plan, fleet, systems), pads, grips),
-        line=_lay_line(grips),
+        line=_lay_line(grips) if cable else None,
         map=_map(pads, grips),
         parameters=None if fleet is None else _parameters(plan, fleet),
         checklist=[(item, "☐") for item in _CHECKLIST],
@@ -88,9 +91,13 @@ def layout_sheet(plan: Plan, fleet: Fleet | None = None, systems: Sequence[int] 
 
 
 def grip_marks(plan: Plan) -> Floats:
-    """Return the arc lengths (n,) of the grip marks from the end of the cut cable, metres."""
-    marks: Floats = END_PIECE + np.concatenate([[0.0], np.cumsum(plan.layout.lengths)])
-    return marks
+    """Return the arc lengths (n,) of the grip marks from the end of the cut cable, metres.
+
+    Without cable there are none, (0,).
+    """
+    lengths = plan.layout.lengths
+    marks: Floats = END_PIECE + np.concatenate([[0.0], np.cumsum(lengths)])
+    return marks if len(lengths) else marks[:0]
 
 
 def grip_places(plan: Plan) -> Floats:
@@ -112,13 +119,15 @@ def _vehicle_rows(
     plan: Plan, labels: Sequence[str], pads: Floats, grips: Floats
 ) -> list[tuple[object, ...]]:
     """Return a row per vehicle: number, label, grip mark, pad, grip and next segment, metres."""
-    marks = grip_marks(plan)
-    segments = [*(f"{length:.2f} m" for length in plan.layout.lengths), ""]
+    none = ["–"] * plan.vehicles
+    marks = [f"{mark:.2f} m" for mark in grip_marks(plan)] or none
+    segments = [f"{length:.2f} m" for length in plan.layout.lengths]
+    segments = [*segments, ""] if segments else none
     return [
         (
             k + 1,
             labels[k],
-            f"{marks[k]:.2f} m",
+            marks[k],
             f"{pads[k, 0]:.2f}",
             f"{pads[k, 1]:.2f}",
             f"{grips[k, 0]:.2f}",

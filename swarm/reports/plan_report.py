@@ -56,7 +56,7 @@ def plan_report(plan: Plan, assessment: Assessment) -> str:
 def _segments(plan: Plan) -> list[tuple[object, ...]]:
     """Return a row per segment: number, cable, chord, sag and lane, metres."""
     layout = plan.layout
-    chords = np.linalg.norm(np.diff(layout.corners, axis=0), axis=1)
+    chords = np.linalg.norm(np.diff(scene.joined(layout.corners, layout.lengths), axis=0), axis=1)
     columns = zip(layout.lengths, chords, layout.sags, layout.lanes, strict=True)
     return [
         (number, *(f"{value:.2f}" for value in values)) for number, values in enumerate(columns, 1)
@@ -85,7 +85,7 @@ def _pictures(plan: Plan, assessment: Assessment) -> list[Picture]:
     plots.draw_fold(axes, plan.layout, zoom=1.35)
     label_fold(axes, plan.layout, plots.INK)
     pictures.append(picture(figure, "The folded cable in space", wide=True))
-    if plan.vehicles >= 4:
+    if len(plan.layout.lengths) >= 3:
         figure, axes = plots.new_axes((8.0, 2.8))
         times, distance = planned_strand_distances(plan)
         required = plan.mission.clearance.cable

@@ -240,7 +240,7 @@ def _extent(points: Floats) -> tuple[Floats, Floats]:
 
 def _visible_pieces(layout: KnotLayout) -> list[list[tuple[float, float]]]:
     """Return the drawn pieces of each segment, in shares of its span, without the gaps."""
-    corners = layout.corners[:, :2]
+    corners = scene.joined(layout.corners, layout.lengths)[:, :2]
     spans = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     if not len(spans):
         return []

@@ -55,12 +55,19 @@ class Crossing:
         return float(self.upper[2] - self.lower[2])
 
 
+def joined(grips: Floats, lengths: Floats) -> Floats:
+    """Return the grip points (…, n, 3) that segments of these lengths join: one without cable."""
+    return grips[..., : len(lengths) + 1, :]
+
+
 def strands(grips: Floats, lengths: Floats, points: int = POINTS_PER_SEGMENT) -> Floats:
     """Return the cable between grip points (…, n, 3) as polylines (…, n − 1, points, 3).
 
     Every segment is the catenary of its length (n − 1,), laid flat where it would pass below the
     floor (z = 0), straight where its chord is longer than its cable, NaN where an end is unknown.
+    Without cable there are no lengths and no polylines.
     """
+    grips = joined(grips, lengths)
     start, end = grips[..., :-1, :], grips[..., 1:, :]
     known = np.isfinite((start + end).sum(axis=-1, keepdims=True))
     start, end = np.where(known, start, 0.0), np.where(known, end, 0.0)
@@ -104,7 +111,8 @@ def _point_at(strand: Floats, position: float) -> Floats:
 
 def tautness(grips: Floats, lengths: Floats) -> Floats:
     """Return chord over length (…, n − 1) of every segment; 1 is taut, NaN unknown."""
-    ratio: Floats = np.linalg.norm(np.diff(grips, axis=-2), axis=-1) / lengths
+    chord = np.linalg.norm(np.diff(joined(grips, lengths), axis=-2), axis=-1)
+    ratio: Floats = chord / lengths
     return ratio
 
 

@@ -118,10 +118,10 @@ def send_plan_curves(stream: rr.RecordingStream, plan: Plan) -> None:
     held = planned_grip(plan, times)
     taut = scene.tautness(scene.planned_cable(plan, times), plan.layout.lengths)
     taut[~held] = np.nan
-    segments = [f"segment {i + 1}" for i in range(n - 1)]
+    segments = [f"segment {i + 1}" for i in range(len(plan.layout.lengths))]
     _curves(stream, "plan/tautness", segments, clock, taut)
     _limit(stream, "plan/tautness/limit", MAX_CHORD_RATIO, "taut", clock)
-    if n < 4:
+    if len(segments) < 3:
         return
     sampled, distance = planned_strand_distances(plan)
     clock = {"mission_time": sampled}
@@ -140,7 +140,7 @@ def send_errors(stream: rr.RecordingStream, plan: Plan, trace: Trace) -> None:
 
 def send_distances(stream: rr.RecordingStream, plan: Plan, trace: Trace) -> None:
     """Send the sampled distances of strands over mission time, planned and flown."""
-    if plan.vehicles < 4:
+    if len(plan.layout.lengths) < 3:
         return
     names = ("planned", "flown")
     sampled, planned = planned_strand_distances(plan)

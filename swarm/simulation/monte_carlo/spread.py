@@ -137,7 +137,9 @@ def draw(
     count = plan.vehicles
     tolerance = spread.length * mission.cable.length_tolerance
     grips = _bounded(rng, spread.grip, count)
-    lengths = plan.layout.lengths + tolerance * rng.uniform(-1.0, 1.0, count - 1) + np.diff(grips)
+    segments = len(plan.layout.lengths)
+    lengths = plan.layout.lengths + tolerance * rng.uniform(-1.0, 1.0, segments)
+    lengths += np.diff(grips)[:segments]
     laid_plan = replace(plan, layout=replace(plan.layout, lengths=lengths))
     world = emulated_world(laid_plan, fleet, with_cable=True, seed=int(rng.integers(2**31)))
     speed = float(rng.uniform(0.0, max(spread.wind, mission.wind.steady)))
