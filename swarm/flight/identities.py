@@ -11,9 +11,12 @@ Errors are:
 - two components that are autopilots, or two answers with different times to one request: two
   vehicles behind one address.
 
-Components that are not autopilots, such as cameras, may have addresses of their own.
+Components that are not autopilots, such as cameras, may have addresses of their own. A heartbeat is
+no second vehicle by itself: a network may send copies of packets late, and by other ways. It is one
+where it comes again and again.
 """
 
+import math
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -32,6 +35,10 @@ LASTING = 2.0
 """Seconds for which clocks must differ: after a restart one of two paths shows it first, and
 packets that waited in a socket are old. Clocks of simulators drift by seconds, but alike on all
 paths."""
+BEATS, BEAT_GAP = 3, 2.5
+"""Heartbeats in a row that show a vehicle at an address, and the most seconds between two of them:
+one may be lost. Where 2 % of nine vehicles' packets come again, from the others' addresses, copies
+of heartbeats do so once in 40 hours."""
 _WORDS = {"px4": "PX4", "ardupilot": "ArduPilot"}
 _HEARTBEAT = int(common.MAVLINK_MSG_ID_HEARTBEAT)
 _TIMESYNC = int(common.MAVLINK_MSG_ID_TIMESYNC)
@@ -45,6 +52,7 @@ class Place:
     ``trusted`` says whether packets from there count as the vehicle's. ``autopilots`` are the kinds
     in its heartbeats, ``components`` their senders; ``differs`` has since when its clock differs
     from the vehicle's, by message number, ``apart`` by how much, and when that was last received.
+    ``beats`` counts the heartbeats in a row, the last one ``beat_at``.
     """
 
     link: str
@@ -54,6 +62,19 @@ class Place:
     components: set[int] = field(default_factory=set)
     differs: dict[int, float] = field(default_factory=dict)
     apart: dict[int, tuple[float, float]] = field(default_factory=dict)
+    beats: int = 0
+    beat_at: float = -math.inf
+
+    def beat(self, kind: str, now: float) -> None:
+        """Add the heartbeat of an autopilot."""
+        in_row = self.speaks or now - self.beat_at <= BEAT_GAP
+        self.beats, self.beat_at = self.beats + 1 if in_row else 1, now
+        self.autopilots.add(kind)
+
+    @property
+    def speaks(self) -> bool:
+        """Whether a vehicle is there, and not only copies of packets."""
+        return self.beats >= BEATS
 
     def compare(self, kind: int, ahead: float, now: float) -> None:
         """Add the seconds by which its clock is ahead of the vehicle's; NaN: not known."""
@@ -90,11 +111,15 @@ class Identities:
     _places: dict[int, dict[tuple[str, Address | None], Place]] = field(default_factory=dict)
 
     def heartbeat(
-        self, system: int, link: str, address: Address | None, component: int, autopilot: str
+        self, way: tuple[str, Address | None], sender: tuple[int, int], autopilot: str, now: float
     ) -> None:
-        """Add an autopilot that sends a heartbeat from the vehicle's address."""
-        place = self._place(system, link, address, trusted=True)
-        place.autopilots.add(autopilot)
+        """Add an autopilot (system, component) that sends a heartbeat from the vehicle's address.
+
+        ``way`` are the link and the address.
+        """
+        system, component = sender
+        place = self._place(system, *way, trusted=True)
+        place.beat(autopilot, now)
         place.components.add(component)
 
     def elsewhere(
@@ -106,7 +131,7 @@ class Identities:
             return
         beat = packet.number == _HEARTBEAT
         if beat and (kind := flying_autopilot(packet.component, message)) is not None:
-            self._place(packet.system, link, address, trusted=False).autopilots.add(kind.name)
+            self._place(packet.system, link, address, trusted=False).beat(kind.name, now)
         place = self._places.get(packet.system, {}).get((link, address))
         if place is None:
             return
@@ -116,6 +141,29 @@ class Identities:
         elif packet.number == _TIMESYNC and message.tc1 == 0:
             known = now + vehicle.latest_clock_offset
             place.compare(_TIMESYNC, message.ts1 * 1e-9 - known, now)
+
+    def moved(self, system: int, link: str, address: Address | None) -> bool:
+        """Return whether the vehicle is at this other address of a link, and trust that one.
+
+        From the first address came a single heartbeat, and from this one more since: it was a copy.
+        """
+        places = self._places.get(system, {})
+        place = places.get((link, address))
+        first = [one for one in places.values() if one.trusted and one.link == link]
+        if place is None or place.beats < 2 or any(one.beats > 1 for one in first):
+            return False
+        for one in first:
+            one.trusted = False
+        place.trusted = True
+        return True
+
+    def undecided(self, now: float) -> bool:
+        """Return whether it will be seen soon if there is a second vehicle."""
+        return any(
+            not place.trusted and not place.speaks and now - place.beat_at <= BEAT_GAP
+            for places in self._places.values()
+            for place in places.values()
+        )
 
     def _place(self, system: int, link: str, address: Address | None, *, trusted: bool) -> Place:
         places = self._places.setdefault(system, {})
@@ -138,12 +186,15 @@ class Identities:
     def _conflict(self, vehicle: Vehicle, places: list[Place]) -> str:
         """Return the error in the addresses of a system id; "" without one."""
         trusted = [place for place in places if place.trusted]
-        both = " and ".join(str(place) for place in [*trusted, *_others(places)])
-        remedy = "give each vehicle a system id of its own"
         kinds = set().union(*(place.autopilots for place in places))
+        others = [place for place in places if not place.trusted]
+        if len(kinds) == 1:
+            others = [place for place in others if place.speaks]
+        both = " and ".join(str(place) for place in [*trusted, *others])
+        remedy = "give each vehicle a system id of its own"
         if len(kinds) > 1:
             return f"is two vehicles: {both}: {remedy}"
-        apart = max((place.apart_by for place in _others(places)), default=0.0)
+        apart = max((place.apart_by for place in others), default=0.0)
         if apart:
             return f"is two vehicles: {both}, started {apart:.0f} s apart: {remedy}"
         components = sorted(set().union(*(place.components for place in trusted)))
@@ -154,13 +205,9 @@ class Identities:
         if listed is not None and kinds - {listed.name}:
             return f"is {both}, and {_WORDS[listed.name]} in the fleet file"
         links = {place.link for place in trusted}
-        if any(place.link in links for place in _others(places)):
+        if any(place.link in links for place in others):
             return (
                 f"is received from two addresses: {both}: two vehicles have this system id, or one "
                 "is connected twice: a second path to it needs a link of its own in the fleet file"
             )
         return ""
-
-
-def _others(places: list[Place]) -> list[Place]:
-    return [place for place in places if not place.trusted]

@@ -92,7 +92,7 @@ class Preparation:
             self._samples.clear()
             return _not_ready(findings) if late else None
         self._samples.append((now, measured))
-        if now - self._samples[0][0] < STANDING_TIME:
+        if now - self._samples[0][0] < STANDING_TIME or self.team.undecided(now):
             return None
         for vehicle in self._heard:
             vehicle.stop_unused_streams(self._heard_at, now)

@@ -99,6 +99,11 @@ class Route:
     unknown: int = 0
     alone: Vehicle | None = None
 
+    def note_alone(self) -> None:
+        """Note whether one vehicle is there, after a change of ``speakers``."""
+        only = list(self.speakers.values())
+        self.alone = only[0] if len(only) == 1 and not self.decoder.stream else None
+
 
 class Team:
     """Vehicles and the routes to them."""
@@ -165,7 +170,7 @@ class Team:
             if vehicle is not None:
                 vehicle.receive(packet, now, number)
                 if packet[0] == _HEARTBEAT:
-                    self._beat(vehicle.system, link, address, packet.component, packet.message)
+                    self._beat((link, address), packet, now)
         if signing is not None and signing.dropped.total() > before:
             self.rejected += signing.dropped.total() - before
             kinds = ", ".join(sorted(signing.dropped))
@@ -209,8 +214,8 @@ class Team:
             message = unpack(number, together[start:end]) if number in HANDLED_MESSAGES else None
             speakers[which].read(number, component, message, now, order)
             if number == _HEARTBEAT:
-                system = speakers[which].system
-                self._beat(system, link, arrived[which][0], component, message)
+                packet = Packet(number, speakers[which].system, component, 0, message)
+                self._beat((link, arrived[which][0]), packet, now)
         return left >= 0
 
     def trusts(self, link: str, address: Address | None, packet: bytes) -> bool:
@@ -238,15 +243,14 @@ class Team:
             self._routes[key] = route
         return route
 
-    def _beat(
-        self, system: int, link: str, address: Address | None, component: int, message: Message
-    ) -> None:
+    def _beat(self, way: tuple[str, Address | None], packet: Packet, now: float) -> None:
         """Note the sender of a heartbeat from a vehicle's address."""
-        kind = flying_autopilot(component, message)
+        system, component = packet.system, packet.component
+        kind = flying_autopilot(component, packet.message)
         if kind is not None:
-            self._identities.heartbeat(system, link, address, component, kind.name)
+            self._identities.heartbeat(way, (system, component), kind.name, now)
         elif component != self.vehicles[system].component:
-            self._aboard(system, link, component)
+            self._aboard(system, way[0], component)
 
     def _sender(self, route: Route, packet: Packet, now: float) -> Vehicle | None:
         """Return the vehicle of a message, if this is its address.
@@ -275,13 +279,15 @@ class Team:
                 f"packets of system {sysid} on link {route.link} from another address: dropped",
                 sysid,
             )
-            return None
-        if kind is None:
+            if not known or not self._identities.moved(sysid, route.link, route.address):
+                return None
+            del known.speakers[sysid]
+            known.note_alone()
+        elif kind is None:
             return None
         ways[route.link] = route
         route.speakers[sysid] = vehicle
-        whole = len(route.speakers) == 1 and not route.decoder.stream
-        route.alone = vehicle if whole else None
+        route.note_alone()
         self._best[sysid] = next(ways[link] for link in self._allowed[sysid] if link in ways)
         return vehicle
 
@@ -323,6 +329,10 @@ class Team:
     def conflicts(self) -> list[Finding]:
         """Return an error for each system id that is not one vehicle, or not the listed one."""
         return list(self._identities.findings(self.vehicles))
+
+    def undecided(self, now: float) -> bool:
+        """Return whether it will be seen soon if two vehicles have one system id."""
+        return self._identities.undecided(now)
 
     def findings(self) -> list[Finding]:
         """Return the unexpected systems on the links, for the decision before a flight."""

@@ -160,6 +160,44 @@ def test_a_second_autopilot_with_another_component_is_reported():
     )
 
 
+@pytest.mark.parametrize("copied", [(1.0, 3.0, 8.0, 20.0), (0.0, 4.0)])
+def test_late_copies_from_another_vehicles_address_are_no_second_vehicle(copied):
+    """A network sends copies of packets by other ways; also before all other packets."""
+    listener, emulator, late = FleetListener(fleet_of()), emulated("px4"), []
+    for tick in range(600):
+        now = 0.05 * tick
+        for system, data in emulator.step(now):
+            if any(at <= now < at + 1.0 for at in copied):
+                late.append((now + 3.2 if tick > 20 else now, system, data))
+            if tick > 20 or copied[0] > 0.0:
+                listener.receive("radio", ("10.0.0.9", system), data, now)
+        while late and late[0][0] <= now:
+            _, system, data = late.pop(0)
+            listener.receive("radio", ("10.0.0.9", 3 - system), data, now)
+        for one in listener.tick(now):
+            emulator.receive(one.address[1], one.data, now)
+    assert listener.missing == []
+    assert listener.team.conflicts() == []
+    assert [listener.team.way_to(k).address for k in (1, 2)] == [("10.0.0.9", 1), ("10.0.0.9", 2)]
+    assert all(now - one.position_at < 0.5 for one in listener.team.vehicles.values())
+
+
+def test_a_twin_is_found_before_the_team_is_ready():
+    """Two vehicles of one kind, with one system id and one clock, at two addresses."""
+    flight = Network(small_plan(), emulated_fleet(3))
+    twin = Emulator(default_world(3, ("px4",)))
+
+    def double() -> bool:
+        for system, data in twin.step(flight.now):
+            flight.conductor.receive("loopback", ("10.0.0.9", system), data, flight.now)
+        return False
+
+    outcome = flight.run(double, most=10.0)
+    assert outcome is not None
+    assert outcome.word == "refused"
+    assert "system 1 is " in outcome.explanation
+
+
 def test_an_autopilot_other_than_the_listed_one_is_reported():
     said = heard(fleet_of(autopilot="px4"), (emulated("ardupilot"), at_home(1)))
     assert said[0] == (
