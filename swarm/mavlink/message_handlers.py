@@ -29,9 +29,9 @@ _POSITION_SENSORS = int(
 )
 _ORIGIN_MOVED = 0.05
 _MAX_POSITION_AGE = 0.3
-_MAX_VERTICAL_SPEED = 0.5
-"""m/s: below it, a receiver's height is at most 0.1 m behind: receivers are up to 0.2 s late; PX4
-assumes 0.11 s (EKF2_GPS_DELAY)."""
+_MAX_VERTICAL_SPEED = 1.0
+"""m/s: below it, a receiver's height is at most 0.2 m behind: receivers are up to 0.2 s late; PX4
+assumes 0.11 s (EKF2_GPS_DELAY). The least drift that counts is 0.3 m."""
 _HEIGHT_DRIFT = 0.2
 """m/s: a receiver with an accuracy of one metre is averaged over five seconds."""
 _MAX_MISMATCH = 1.0

@@ -6,7 +6,6 @@ from statistics import median
 import numpy as np
 import numpy.typing as npt
 
-from swarm.flight.detect.latch import Latch
 from swarm.flight.failures import Failure, FailureKind, Finding
 from swarm.flight.observation import Expected, Observation
 
@@ -16,6 +15,8 @@ HEIGHT_DRIFT = (0.3, 1.0)
 """Metres by which one vehicle's height may drift against its GPS compared with the others': with
 receivers that report a good accuracy while the cable is aloft, and otherwise. A receiver never
 permits less than its own accuracy."""
+LARGEST_STEP = 0.4
+"""Metres by which a height is corrected at once: less than a jump of the position."""
 _ACCURACIES = 5.0
 """Multiple of the receivers' stated vertical accuracy that a drift must exceed."""
 _INTERVAL = 1.0
@@ -26,11 +27,12 @@ class HeightDetector:
     """Detects heights that drift; remembers the differences with which the comparison began.
 
     ``reference`` (n,) in metres; it begins anew when the cable is aloft: the gate on the levelled
-    line has judged the differences before that.
+    line has judged the differences before that. A drift that is reported counts as a jump of the
+    reported height, and becomes part of the reference: it may go on during a landing of half a
+    minute.
     """
 
-    def __init__(self, n: int, reported: Latch) -> None:
-        self._reported = reported
+    def __init__(self, n: int) -> None:
         self.reference: Floats = np.full(n, np.nan)
         self._next, self._aloft = 0.0, False
 
@@ -56,9 +58,12 @@ class HeightDetector:
             # an ArduCopter that has landed and disarmed sets its height anew; a PX4 on the ground
             # drifted by 1.2 m before it had detected that: the team can only land, and does
             flies = expected.armed[k] and seen.armed[k] and not expected.may_land[k]
-            if flies and abs(off) > allowed and self._reported.first(FailureKind.HEIGHT_DRIFT, k):
+            if flies and abs(off) > allowed:
+                step = math.copysign(min(abs(off), LARGEST_STEP), off)
+                self.reference[k] += step
                 words = f"{seen.names[k]}'s height has drifted by {off:+.1f} m"
-                found.append(Failure(FailureKind.HEIGHT_DRIFT, words, k))
+                jump = np.array([0.0, 0.0, -step])
+                found.append(Failure(FailureKind.HEIGHT_DRIFT, words, k, jump))
         return found
 
     def _drift(self, seen: Observation, expected: Expected) -> Floats:
