@@ -1,7 +1,7 @@
 """The result of all checks of a plan, as a frozen value."""
 
-import math
 from dataclasses import dataclass, field
+from decimal import ROUND_FLOOR, Decimal
 from typing import Literal
 
 from swarm.certification.budget import Budget
@@ -38,8 +38,8 @@ class Robustness:
 
 def rounded_down(value: float, decimals: int) -> float:
     """Return a value up to which something holds as it is shown: never more than it holds for."""
-    scale = 10.0**decimals
-    return math.floor(value * scale + 1e-9) / scale
+    step = Decimal(1).scaleb(-decimals)
+    return float(Decimal(repr(float(value))).quantize(step, ROUND_FLOOR))
 
 
 @dataclass(frozen=True)

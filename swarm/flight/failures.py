@@ -46,13 +46,15 @@ class Failure:
     """One detected failure.
 
     ``message`` is for people; ``vehicle`` the index along the cable (None: the team); ``jump`` (3,)
-    the metres by which a position jumped, mission ENU.
+    the metres by which a position jumped, mission ENU; ``known`` says that it was reported before,
+    and only the vehicle's frame follows.
     """
 
     kind: FailureKind
     message: str
     vehicle: int | None = None
     jump: Floats | None = None
+    known: bool = False
 
 
 @dataclass(frozen=True)

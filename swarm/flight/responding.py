@@ -38,6 +38,8 @@ def _fail(flight: FlightState, failure: Failure) -> None:
         stop_stream(flight, k)
     if failure.jump is not None and k is not None:
         shift_frame(flight, k, failure.jump)
+    if failure.known:
+        return
     flight.report("failure", f"{kind}: {message}", vehicle)
     if row.irreversible:
         mark_failed(flight, _with_cause(flight, failure))

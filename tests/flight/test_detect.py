@@ -123,6 +123,19 @@ def test_a_jump_is_measured_and_its_report_does_not_count_twice():
     assert motion.detect(seen(10.2), expected()) == []
 
 
+def test_the_frame_follows_every_jump_of_a_vehicle_and_the_first_is_reported():
+    """The estimator of a crashed PX4 moved by 12 m, eleven times in 13 s."""
+    motion, place = MotionDetector(3, Latch(), cable=True), PLACES.copy()
+    motion.detect(seen(10.0), expected())
+    found = []
+    for k in range(1, 5):
+        place[1, 0] = PLACES[1, 0] + 2.0
+        found += motion.detect(seen(10.0 + 0.1 * k, position=place), expected())
+        assert found[-1].jump == pytest.approx([2.0, 0.0, 0.0])
+        motion.detect(seen(10.05 + 0.1 * k), expected())
+    assert [failure.known for failure in found] == [False, True, True, True]
+
+
 def test_a_ground_station_that_was_stalled_sees_no_jump():
     # at 2 m/s: it reads nothing for 1.2 s, then a report of 0.3 s after the last one, then a new one
     motion = MotionDetector(3, Latch(), cable=True)
@@ -249,10 +262,32 @@ def test_a_vehicle_that_leaves_offboard_mode_fails_by_the_mode_it_takes(mode, ki
         mode=mode, in_manual_mode=False, in_mode=lambda _: False, recent_warnings=lambda _: ""
     )
     event = VehicleEvent("mode", f"mode {mode}")
-    detector = ReportDetector(Latch())
+    detector = ReportDetector()
     assert kinds(detector.detect(seen(), expected(), 1, vehicle, event, 10.0)) == [kind]
     rejoining = expected(rejoining=frozenset({1}))
     assert detector.detect(seen(), rejoining, 1, vehicle, event, 10.0) == []
+
+
+def test_a_vehicle_that_has_left_fails_again_only_by_another_mode_or_after_its_return():
+    """A PX4 whose setpoints had ended takes one that was under way, and loses them again."""
+    detector, outside = ReportDetector(), expected(streaming=np.array([True, False, True]))
+
+    def enters(mode, commanded):
+        vehicle = SimpleNamespace(
+            mode=mode,
+            in_manual_mode=mode == "position",
+            in_mode=lambda name: name == mode,
+            recent_warnings=lambda _: "",
+        )
+        event = VehicleEvent("mode", f"mode {mode}")
+        return kinds(detector.detect(seen(), commanded, 1, vehicle, event, 10.0))
+
+    assert enters("hold", expected()) == [FailureKind.LEFT_OFFBOARD]
+    assert enters("offboard", outside) == enters("hold", outside) == []
+    assert enters("position", expected(fallen=frozenset({1}))) == []
+    assert enters("position", outside) == [FailureKind.PILOT]
+    assert enters("hold", outside) == [FailureKind.LEFT_OFFBOARD]
+    assert enters("hold", expected()) == [FailureKind.LEFT_OFFBOARD]
 
 
 def test_a_hold_ends_after_t_and_a_recovered_hold_begins_anew():

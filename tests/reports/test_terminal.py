@@ -76,7 +76,7 @@ def test_summary_never_states_more_than_the_plan_holds_for() -> None:
 
 @pytest.mark.parametrize(
     ("value", "decimals", "shown"),
-    [(0.29, 2, 0.29), (0.299999, 2, 0.29), (0.3, 2, 0.3), (2.0, 1, 2.0), (0.0, 2, 0.0)],
+    [(0.29, 2, 0.29), (0.3 - 1e-12, 2, 0.29), (0.3, 2, 0.3), (2.0, 1, 2.0), (0.0, 2, 0.0)],
 )
 def test_values_are_rounded_down_but_not_below_themselves(
     value: float, decimals: int, shown: float

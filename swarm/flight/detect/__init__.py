@@ -61,7 +61,7 @@ class Detectors:
         paced = not options.open_loop and options.error_limit is None
         return cls(
             station=StationDetector(),
-            reports=ReportDetector(reported),
+            reports=ReportDetector(),
             links=LinkDetector(fleet.limits, reported),
             motion=MotionDetector(n, reported, cable=setup.carries_cable),
             health=HealthDetector(reported, gps=fleet.frame == "gps"),

@@ -15,10 +15,6 @@ class Latch:
         self._reported.add((kind, k))
         return new
 
-    def has(self, kind: FailureKind, k: int) -> bool:
-        """Return whether a failure of a vehicle has been reported."""
-        return (kind, k) in self._reported
-
     def forget(self, kind: FailureKind, k: int) -> None:
         """Let a failure of a vehicle be reported once more."""
         self._reported.discard((kind, k))

@@ -95,7 +95,8 @@ class MotionDetector:
         if size <= JUMP:
             return []
         words = f"{seen.names[k]}'s position jumped by {size:.1f} m: its frame moved"
-        return [Failure(FailureKind.POSITION_JUMP, words, k, jump)]
+        known = not self._reported.first(FailureKind.POSITION_JUMP, k)
+        return [Failure(FailureKind.POSITION_JUMP, words, k, jump, known)]
 
     def _fallen(
         self, seen: Observation, expected: Expected, k: int, tilt: float, *, falls: bool

@@ -1,6 +1,5 @@
 """Failures that vehicles report themselves: modes, arming, landing, commands, reboots, origins."""
 
-from swarm.flight.detect.latch import Latch
 from swarm.flight.failures import Failure, FailureKind, Finding
 from swarm.flight.observation import Expected, Observation
 from swarm.mavlink.vehicle import Vehicle
@@ -15,8 +14,8 @@ _RETURN_MODES = frozenset({"return", "smart return", "auto return"})
 class ReportDetector:
     """Judges the events that vehicles report; positions are those of the tick before."""
 
-    def __init__(self, reported: Latch) -> None:
-        self._reported = reported
+    def __init__(self) -> None:
+        self._left: dict[int, FailureKind] = {}
 
     def detect(
         self,
@@ -40,12 +39,16 @@ class ReportDetector:
             case "landed" if flying and not expected.descending and high:
                 words = f"{name} reports that it has landed, in the air"
                 failure = Failure(FailureKind.FALSE_LANDING, words, k)
-            case "mode" if flying and k not in expected.rejoining:
+            case "mode" if flying and k not in expected.rejoining | expected.fallen:
                 if not vehicle.in_mode("offboard"):
                     failure = _left_offboard(name, k, vehicle, event, now)
+                    # a PX4 that had lost its setpoints takes the last ones, and loses them again
+                    known = not expected.streaming[k] and self._left.get(k) is failure.kind
+                    self._left[k] = failure.kind
+                    failure = None if known else failure
             case "rebooted":
                 failure = Failure(FailureKind.REBOOTED, f"{name} {event.message}", k)
-            case "origin" if not self._reported.has(FailureKind.FALLING, k):
+            case "origin" if k not in expected.fallen:
                 failure = Failure(FailureKind.ORIGIN_MOVED, f"{name}: {event.message}", k)
         return [] if failure is None else [failure]
 
