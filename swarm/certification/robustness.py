@@ -26,7 +26,7 @@ MOST_WIND = 15.0
 """Largest wind that is tried, m/s (Beaufort 7)."""
 WIND_STEP = 0.1
 """Resolution of w*, m/s: the last digit that is shown."""
-_GUESSED, _NARROW = 8, 1e-5
+_GUESSED, _LOOKED_AT, _NARROW = 8, 48, 1e-5
 """Directions in which a value is tried before it is certified in all, and a width of no effect."""
 
 
@@ -135,6 +135,7 @@ class _Search:
         self._failed: dict[int, set[tuple[int, float]]] = {}
         self._worst: int | None = None
         self._held: dict[int, float] = {}
+        self._held_everywhere: dict[int, float] = {}
 
     def narrowed(self, good: float, bad: float, most: float, step: float) -> tuple[float, float]:
         """Return the largest value that holds in the tight boxes, and a value ``step`` above it.
@@ -171,8 +172,10 @@ class _Search:
             return True
         family = self._families(value)[which]
         tight, failed = self._tight_of(family), self._failed.get(which, set())
-        found = not tight or _holds(family, _at_full_tilt(_boxes(family, tight), family))
-        found = found and (not failed or _holds(family, _boxes(family, failed)))
+        found = all(
+            not times or _holds(family, _at_full_tilt(_boxes(family, times), family, directions))
+            for times, directions in ((tight, _GUESSED), (failed, _LOOKED_AT))
+        )
         if found:
             self._held[which] = value
         return found
@@ -191,10 +194,23 @@ class _Search:
         }
 
     def holds(self, value: float) -> bool:
-        """Return whether the value holds everywhere; keeps the box in which it fails."""
-        every = self._likely_first(value)
-        ordered = [self._families(value)[which] for which in every]
-        for which, found in zip(every, side_by_side(Family.failing, ordered), strict=True):
+        """Return whether the value holds everywhere; keeps the box in which it fails.
+
+        A family that held everywhere at a larger value is not searched again.
+        """
+        every = [
+            which
+            for which in self._likely_first(value)
+            if value > self._held_everywhere.get(which, -math.inf)
+        ]
+
+        def failing(which: int) -> tuple[int, float] | None:
+            found = self._families(value)[which].failing()
+            if found is None:
+                self._held_everywhere[which] = value
+            return found
+
+        for which, found in zip(every, side_by_side(failing, every), strict=True):
             if found is not None:
                 self._failed.setdefault(which, set()).add(found)
                 self._held.pop(which, None)
@@ -218,12 +234,12 @@ def _holds(family: Family, boxes: Boxes) -> bool:
     return failing(family.evaluate, boxes, tolerance=family.tolerance) is None
 
 
-def _at_full_tilt(boxes: Boxes, family: Family) -> Boxes:
+def _at_full_tilt(boxes: Boxes, family: Family, directions: int) -> Boxes:
     """Return boxes at the full tilt in some directions, instead of all tilts: for a first guess."""
     if family.others[:2] != TILTS:
         return boxes
-    cut = boxes.taken(np.repeat(np.arange(len(boxes)), _GUESSED))
-    heading = np.tile(2.0 * math.pi * np.arange(_GUESSED) / _GUESSED, len(boxes))
+    cut = boxes.taken(np.repeat(np.arange(len(boxes)), directions))
+    heading = np.tile(2.0 * math.pi * np.arange(directions) / directions, len(boxes))
     # Within the disc, whatever rounding does.
     cut.middle[:, 1], cut.middle[:, 2] = (1.0 - 1e-9) * np.stack([np.cos(heading), np.sin(heading)])
     cut.half[:, 1:3] = _NARROW

@@ -30,12 +30,13 @@ from swarm.geometry.catenary_kernel import (
 from swarm.geometry.catenary_shape import SMALLEST_HALF_ANGLE, VERTICAL
 from swarm.geometry.linear_response import (
     PointResponse,
+    beyond_interpolation,
     curvature,
     curvature_table,
     first_order,
     movement,
-    movement_difference,
     point_response,
+    response_to,
 )
 from swarm.geometry.sensitivity import (
     BOTH_ENDS,
@@ -269,14 +270,18 @@ class Movement(NamedTuple):
 class Leaning(NamedTuple):
     """Bounds of the movement along a normal by other gravities.
 
-    Of any point of a piece either ``most``; or the product of ``moment`` and the turn, which may
-    cancel with that of another strand, and ``beyond`` it, and ``along`` the piece.
+    Of any point of a piece either ``most``; or the product of its moment and the turn, which may
+    cancel with that of another strand, and ``beyond`` it. Moments are those of the point of the
+    first order and of both ends; between the ends the sum of place and product is at most
+    ``bowed`` from its linear interpolation, apart from the bow of the piece.
     """
 
     most: float
     beyond: float
-    along: float
+    bowed: float
     moment: Vector
+    at_begin: Vector
+    at_end: Vector
 
 
 @inner
@@ -397,9 +402,12 @@ def piece_movement(
     strand, motion, part = piece.strand.catenary, piece.end_motion, (piece.begin, piece.end)
     longer, total = motion.longer, motion.total
     up, fraction = -dot(normal, piece.strand.down), part[0] + along * (part[1] - part[0])
-    response = point_response(strand, (dot(normal, piece.strand.heading), up), fraction)
+    plane = dot(normal, piece.strand.heading), up
+    response = point_response(strand, plane, fraction)
+    begin = point_response(strand, plane, part[0])
+    end = point_response(strand, plane, part[1])
     at_point, per_arc = first_order(strand, response, part, motion.ends)
-    arc = strand.length * max(fraction - part[0], part[1] - fraction)
+    bowed = beyond_interpolation(strand, per_arc, part)
     moving = EndMovement(motion.ends, total, motion.relative, longer)
     bent = curvature(strand, part, moving, cable.curvature)
     of_piece, linear = largest, np.inf
@@ -407,16 +415,30 @@ def piece_movement(
         linear = movement(at_point, bent, total, longer)
         if gravity.angle > 0.0:
             linear += gravity.angle * _response_per_angle(piece) * longer
-        of_piece = min(of_piece, linear + movement_difference(per_arc, arc, longer))
-    leaning = Leaning(0.0, 0.0, 0.0, (0.0, 0.0, 0.0))
+        at_ends = max(response_to(begin, motion.ends), response_to(end, motion.ends))
+        of_piece = min(of_piece, linear + max(at_ends - at_point, 0.0) * total + bowed * longer)
+    leaning = no_leaning()
     if gravity.angle > 0.0:
-        leaning = Leaning(largest_lean(piece, gravity), np.inf, 0.0, (0.0, 0.0, 0.0))
+        most = largest_lean(piece, gravity)
+        leaning = Leaning(most, np.inf, np.inf, leaning.moment, leaning.moment, leaning.moment)
         if at_point < np.inf:
-            beyond = 0.5 * gravity.angle * gravity.angle * _per_square(piece)
-            along_piece = gravity.angle * arc * _turn_per_angle(piece, per_arc)
-            moment = _moment(piece.strand, normal, response, fraction)
-            leaning = Leaning(leaning.most, beyond, along_piece, moment)
+            chord = math.hypot(strand.span, strand.rise)
+            leaning = Leaning(
+                most,
+                0.5 * gravity.angle * gravity.angle * _per_square(piece),
+                gravity.angle * (piece.bow + chord * bowed),
+                _moment(piece.strand, normal, response, fraction),
+                _moment(piece.strand, normal, begin, part[0]),
+                _moment(piece.strand, normal, end, part[1]),
+            )
     return Movement(of_piece, linear, at_point, bent, fraction, up, leaning)
+
+
+@inner
+def no_leaning() -> Leaning:
+    """Return the leaning in a single gravity."""
+    no = 0.0, 0.0, 0.0
+    return Leaning(0.0, 0.0, 0.0, no, no, no)
 
 
 @inner
@@ -449,30 +471,50 @@ def point_movement(
 
 
 @inner
-def relative(one: Leaning, other: Leaning) -> Leaning:
-    """Return the leaning of one strand relative to another."""
-    return Leaning(
-        one.most + other.most,
-        one.beyond + other.beyond,
-        one.along + other.along,
-        difference(one.moment, other.moment),
-    )
+def apart_leaning(
+    gravity: Gravity,
+    pieces: tuple[Leaning, Leaning],
+    ends: tuple[float, float],
+    other_ends: tuple[float, float],
+) -> tuple[float, float, float, float]:
+    """Return how far two pieces that lean are apart along a normal at least, but for their bows.
+
+    ``ends`` and ``other_ends`` are the places along it of both ends of each chord. Place and lean
+    of a point are nearly linear between the ends of its piece, so their sum is least at ends.
+
+    Returns the distance, the parts by which it is less than that of the chords by both parts of the
+    tilt, and the part by the size of the pieces.
+    """
+    one, other = pieces
+    chords = min(ends[0], ends[1]) - max(other_ends[0], other_ends[1])
+    most, beyond = one.most + other.most, one.beyond + other.beyond
+    east, north = _leaned(gravity, difference(one.moment, other.moment))
+    apart, whole = chords - most, gravity.east + gravity.north
+    if not beyond < np.inf or whole == 0.0:
+        share = gravity.east / whole if whole > 0.0 else 0.0
+        return apart, most * share, most * (1.0 - share), 0.0
+    nearest = np.inf
+    for k in range(2):
+        moment = one.at_begin if k == 0 else one.at_end
+        for m in range(2):
+            opposed = other.at_begin if m == 0 else other.at_end
+            by_east, by_north = _leaned(gravity, difference(moment, opposed))
+            nearest = min(nearest, ends[k] - other_ends[m] - by_east - by_north)
+    apart = max(apart, nearest - beyond - one.bowed - other.bowed)
+    by_tilt = min(east + north + beyond, most)
+    share = by_tilt / max(east + north + beyond, 1e-300)
+    east, north = east + beyond * gravity.east / whole, north + beyond * gravity.north / whole
+    return apart, share * east, share * north, max(chords - by_tilt - apart, 0.0)
 
 
 @inner
-def lean(gravity: Gravity, leaning: Leaning) -> tuple[float, float, float, float]:
-    """Return the bound, and its parts by both parts of the tilt and by the piece's size.
+def _leaned(gravity: Gravity, moment: Vector) -> tuple[float, float]:
+    """Return the largest products of a moment and a turn, by both parts of the tilt.
 
     A vector g has the largest product with a turn |g × down|, part by part of the tilt.
     """
-    turning, whole = cross(leaning.moment, gravity.down), gravity.east + gravity.north
-    east, north = abs(turning[0]) * gravity.east, abs(turning[1]) * gravity.north
-    exact = leaning.beyond + east + north
-    if whole == 0.0 or not exact < leaning.most:
-        share = gravity.east / whole if whole > 0.0 else 0.0
-        return leaning.most, leaning.most * share, leaning.most * (1.0 - share), 0.0
-    share, bound = leaning.beyond / whole, min(exact + leaning.along, leaning.most)
-    return bound, east + share * gravity.east, north + share * gravity.north, bound - exact
+    turning = cross(moment, gravity.down)
+    return abs(turning[0]) * gravity.east, abs(turning[1]) * gravity.north
 
 
 _PER_ANGLE, _PER_SQUARE = 1.02, (1.3, 0.68)
@@ -483,8 +525,8 @@ elevation ε, they are these multiples of b / cos ε and of b / cos² ε. Measur
 0.995, 10 elevations and 9 directions, and enlarged by 2 to 10 %; tests search for more.
 """
 
-_RESPONSE_PER_ANGLE, _TURN_PER_ANGLE = (0.45, 0.15), (1.3, 1.3, 0.7)
-"""The same of responses to ends and of the strand's direction, as multiples of 1 / cos ε."""
+_RESPONSE_PER_ANGLE = (0.45, 0.15)
+"""The same of responses to ends, as multiples of 1 / cos ε."""
 
 
 @inner
@@ -504,19 +546,6 @@ def _per_square(piece: Piece) -> float:
     # Slack strands that are steep change less than taut ones.
     growth = min(1.0 / max(cosine, 1e-9), max(0.5 * taut * piece.strand.catenary.length / bow, 1.0))
     return whole * bow * growth / max(cosine, 1e-9)
-
-
-@inner
-def _turn_per_angle(piece: Piece, per_arc: float) -> float:
-    """Return a bound of the turn of a strand's direction per radian of its gravity.
-
-    It turns with the gravity, and by at most ``per_arc`` as its ends turn back.
-    """
-    strand, (_, cosine) = piece.strand.catenary, _bow_and_cosine(piece)
-    chord = math.hypot(strand.span, strand.rise)
-    flat, bent, wide = _TURN_PER_ANGLE
-    measured = flat + bent * max(math.log(wide * strand.length / chord), 0.0)
-    return min(measured / max(cosine, 1e-9), 1.0 + per_arc * chord)
 
 
 @inner
@@ -587,12 +616,14 @@ def kept_from_plane(
     largest, swing = largest_movement(cable, piece, normal, gravity), piece.swing
     moves = piece_movement(cable, piece, normal, here, gravity, largest)
     near, far = dot(piece.near, normal), dot(piece.far, normal)
-    leans, east, north, along = lean(gravity, moves.leaning)
+    apart, east, north, along = apart_leaning(
+        gravity, (moves.leaning, no_leaning()), (near, far), (0.0, 0.0)
+    )
     point, calm, by_tracking = point_movement(cable, piece, gravity, moves)
-    low = min(near, far) - piece.bow - moves.piece - leans - swing.most
+    low = apart - piece.bow - moves.piece - swing.most
     high = near + here * (far - near) + piece.bow - by_tracking - swing.least
     in_time, rest = calm - by_tracking + (swing.most - swing.now), point - calm
-    size = max(high - low - in_time - (leans - along) - rest, 0.0)
+    size = max(high - low - in_time - (min(near, far) - along - apart) - rest, 0.0)
     return low, high, (in_time, east + 0.5 * rest, north + 0.5 * rest, size)
 
 

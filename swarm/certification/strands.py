@@ -29,6 +29,7 @@ from swarm.certification.strand_pieces import (
     HeldStrand,
     Part,
     Piece,
+    apart_leaning,
     counted,
     gravity_in,
     held_piece,
@@ -36,10 +37,8 @@ from swarm.certification.strand_pieces import (
     is_bounded,
     largest_lean,
     largest_movement,
-    lean,
     piece_movement,
     point_movement,
-    relative,
     write_unbounded,
 )
 from swarm.geometry.distance import segment_distance
@@ -187,10 +186,10 @@ def _write_margin(
     at_other = moved(other.near, there, difference(other.far, other.near))
     # Any unit vector gives a true bound: rounding in the closest points does no harm.
     normal = unit(difference(at_one, at_other))
-    reach = min(dot(one.near, normal), dot(one.far, normal))
-    reach_other = max(dot(other.near, normal), dot(other.far, normal))
+    ends = dot(one.near, normal), dot(one.far, normal)
+    other_ends = dot(other.near, normal), dot(other.far, normal)
     swing, swing_other, bows = one.swing, other.swing, one.bow + other.bow
-    chords_apart = reach - reach_other - bows
+    chords_apart = min(ends[0], ends[1]) - max(other_ends[0], other_ends[1]) - bows
     largest = largest_movement(cable, one, normal, gravity)
     largest_other = largest_movement(cable, other, normal, gravity)
     most = largest + largest_other + swing.most + swing_other.most
@@ -200,9 +199,10 @@ def _write_margin(
         return
     moves = piece_movement(cable, one, normal, here, gravity, largest)
     moves_other = piece_movement(cable, other, normal, there, gravity, largest_other)
-    leans, east, north, along = lean(gravity, relative(moves.leaning, moves_other.leaning))
-    most = moves.piece + moves_other.piece + swing.most + swing_other.most + leans
-    found.low[b] = chords_apart - most - required
+    leanings = moves.leaning, moves_other.leaning
+    apart, east, north, by_size = apart_leaning(gravity, leanings, ends, other_ends)
+    most = moves.piece + moves_other.piece + swing.most + swing_other.most
+    found.low[b] = apart - bows - most - required
     if found.low[b] >= enough:
         return
     point, calm, by_tracking = point_movement(cable, one, gravity, moves)
@@ -220,9 +220,10 @@ def _write_margin(
         2.0 * other.bow + moves_other.piece - other_point
         + (swing_other.now - swing_other.least)
     )  # fmt: skip
-    if along > 0.0:
-        share = moves.leaning.along / (moves.leaning.along + moves_other.leaning.along)
-        found.doubts[b, k] += share * along
-        found.doubts[b, k + 1] += (1.0 - share) * along
+    length, other_length = one.end - one.begin, other.end - other.begin
+    length *= one.strand.catenary.length
+    other_length *= other.strand.catenary.length
+    found.doubts[b, k] += by_size * length / (length + other_length)
+    found.doubts[b, k + 1] += by_size * other_length / (length + other_length)
     for axis in range(3):
         found.place[b, axis] = 0.5 * (at_one[axis] + at_other[axis])

@@ -94,22 +94,13 @@ class LinearResponse:
         bound = _movement(self.at_point, self.curvature, size, relative)
         return np.where(self.known, bound, np.inf)
 
-    def movement_difference(self, arc: Floats, relative: Floats) -> Floats:
-        """Return a bound (b,) of the extra movement of points up to ``arc`` (b,) metres away."""
-        return np.where(self.known, _movement_difference(self.per_arc, arc, relative), np.inf)
-
 
 def _movement(at_point: Numbers, curvature: Numbers, size: Numbers, relative: Numbers) -> Numbers:
     """As :meth:`LinearResponse.movement`, where known: the first order and the remainder."""
     return at_point * size + 0.5 * curvature * relative * relative
 
 
-def _movement_difference(per_arc: Numbers, arc: Numbers, relative: Numbers) -> Numbers:
-    """As :meth:`LinearResponse.movement_difference`, where known."""
-    return per_arc * arc * relative
-
-
-movement, movement_difference = inner(_movement), inner(_movement_difference)
+movement = inner(_movement)
 """The same for one strand, compiled."""
 
 
@@ -235,21 +226,46 @@ def first_order(
 
     Infinite where the response is not known.
     """
-    turn = strand.length / strand.parameter
-    at_point = point.by_end if ends == FAR_END else point.by_start
-    if ends == BOTH_ENDS:
-        at_point = point.by_start + point.by_end
+    at_point = response_to(point, ends)
     trace, determinant = point.trace, point.determinant
     softest = 0.5 * (trace + np.sqrt(max(trace * trace - 4.0 * determinant, 0.0)))
-    begin, end = strand.slope + piece[0] * turn, strand.slope + piece[1] * turn
-    lowest = 0.0 if begin * end <= 0.0 else min(abs(begin), abs(end))
-    flattest = np.sqrt(1.0 + lowest * lowest)
+    flattest = _flattest(strand, piece)
     per_arc = max(
         softest / determinant / (strand.parameter * flattest), 1.0 / (strand.span * flattest)
     )
     if determinant > DEGENERATE and np.isfinite(at_point + per_arc):
         return at_point, per_arc
     return np.inf, np.inf
+
+
+@inner
+def response_to(point: PointResponse, ends: int) -> float:
+    """Return the largest movement of a point per metre of the ends that move, in first order."""
+    if ends == BOTH_ENDS:
+        return point.by_start + point.by_end
+    return point.by_end if ends == FAR_END else point.by_start
+
+
+@inner
+def beyond_interpolation(strand: Catenary, per_arc: float, piece: tuple[float, float]) -> float:
+    """Return how far the response B within a piece is at most from its interpolation between ends.
+
+    It is A² / 8 |B″| for a piece with the arc A; ``per_arc`` is that of :func:`first_order`. With
+    T = a cosh θ and the unit tangent τ, K″ = −(τ νᵀ + ν τᵀ) / (a² cosh³ θ) − ν νᵀ tanh θ / T², of
+    which the norm is at most 2 / (√3 T²); across the plane, T² times it is below 1.
+    """
+    arc = strand.length * (piece[1] - piece[0])
+    largest = 2.0 / math.sqrt(3.0) / (strand.parameter * _flattest(strand, piece))
+    return largest * per_arc * arc * arc / 8.0
+
+
+@inner
+def _flattest(strand: Catenary, piece: tuple[float, float]) -> float:
+    """Return the smallest cosh θ of a piece."""
+    turn = strand.length / strand.parameter
+    begin, end = strand.slope + piece[0] * turn, strand.slope + piece[1] * turn
+    lowest = 0.0 if begin * end <= 0.0 else min(abs(begin), abs(end))
+    return math.sqrt(1.0 + lowest * lowest)
 
 
 @inner
