@@ -426,7 +426,8 @@ def first_step(name):
         (
             "hover",
             {
-                "lags", "barometer drifts", "gripper slips", "snag", "gripper fails to grab",
+                "lags", "weak thrust", "barometer drifts", "gripper slips", "snag",
+                "gripper fails to grab",
                 "gripper sticks shut at release", "one ACK lost at the release",
             },
         ),

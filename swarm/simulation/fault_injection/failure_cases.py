@@ -75,6 +75,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         (*_CONTINUED, "landed"),
         ({"kind": "weak_thrust", "fraction": 0.75},),
         detection_limit=2.0,
+        needs_cable=True,
         slows_clock=True,
     ),
     FailureCase(
