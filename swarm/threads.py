@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, nullcontext
-from functools import cache
+from functools import cache, wraps
 from typing import Any, TypeVar
 
 Item = TypeVar("Item")
@@ -54,6 +54,18 @@ def both(first: Callable[[], Item], second: Callable[[], Result]) -> tuple[Item,
     tasks: tuple[Callable[[], Any], ...] = first, second
     found, other = side_by_side(lambda task: task(), tasks)
     return found, other
+
+
+def once(function: Callable[[], Result]) -> Callable[[], Result]:
+    """Return a function whose result is computed by one thread; others that ask for it wait."""
+    lock, kept = threading.Lock(), cache(function)
+
+    @wraps(function)
+    def computed() -> Result:
+        with lock:
+            return kept()
+
+    return computed
 
 
 def usual_threads() -> int:

@@ -14,7 +14,6 @@ elsewhere.
 
 import math
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
 from typing import NamedTuple, TypeVar
 
@@ -35,6 +34,7 @@ from swarm.geometry.sensitivity import (
 from swarm.geometry.shape_tables import Nodes, bounds_over_cells, nodes_of
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats2, Floats3, Ints1
+from swarm.threads import once
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -317,7 +317,7 @@ def _largest(parts: Floats, begin: float, end: float) -> float:
     return float(largest)
 
 
-@cache
+@once
 def curvature_table() -> Floats:
     """Return the largest second derivative times span up to a bin's ratio: (band, bin, part).
 

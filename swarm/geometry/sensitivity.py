@@ -11,7 +11,6 @@ strand that gets tauter rises.
 """
 
 import math
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ from swarm.geometry.catenary_kernel import max_elevation_sine
 from swarm.geometry.shape_tables import Nodes, bounds_over_cells, nodes_of
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats5, Ints1
+from swarm.threads import once
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -242,7 +242,7 @@ def _bin(ratio: float) -> int:
     return found
 
 
-@cache
+@once
 def sensitivity_tables() -> Sensitivity:
     """Return the tables; computed once, in about half a second."""
     bins = _bin(LARGEST_RATIO + 1e-9) + 1
