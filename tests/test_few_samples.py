@@ -11,7 +11,7 @@ from rich.console import Console
 
 from swarm.analysis.rope import planned_grips, simulate_rope
 from swarm.certification.certificate import CertifiedPlan, certify
-from swarm.certification.contingency_windows import rotors_clear
+from swarm.certification.contingency_windows import above_rotors, rotors_clear
 from swarm.certification.monitor import Monitor
 from swarm.errors import Refused
 from swarm.flight.adherence import adherence
@@ -140,6 +140,7 @@ def test_rotors_and_distances_of_any_team_at_any_number_of_moments(team, moments
     position = plan.motion.at(np.array(times))[0]
     clear = rotors_clear(plan, position)
     assert clear.shape == (moments,)
+    assert above_rotors(plan, position).shape == (moments, n, len(plan.layout.lengths))
     assert len(plan.layout.lengths) or clear.all()
     held = ("lifting", "aloft") if n == 1 or len(plan.layout.lengths) else ()
     for cable in ("free", "floor", *held):

@@ -117,14 +117,21 @@ def contingency_windows(plan: Plan, *, whole: bool = False) -> ContingencyWindow
 
 
 def rotors_clear(plan: Plan, position: Floats) -> Flags:
-    """Return whether no cable is above any rotor disc, for grip points (k, n, 3).
+    """Return whether no cable is above any rotor disc (k,), for grip points (k, n, 3)."""
+    clear: Flags = ~np.any(above_rotors(plan, position), axis=(1, 2))
+    return clear
 
-    Falling cable, or cable that is set down, would land on it. The disc is widened by tracking and
-    AROUND_ROTORS.
+
+def above_rotors(plan: Plan, position: Floats) -> Flags:
+    """Return above which rotor discs which strands are (k, n, n − 1), for grip points (k, n, 3).
+
+    Falling cable, or cable that is set down, would land on them. The discs are widened by tracking
+    and AROUND_ROTORS.
     """
     vehicles, lengths = plan.mission.vehicles, plan.layout.lengths
+    found = np.zeros((*position.shape[:2], len(lengths)), dtype=bool)
     if not len(lengths):
-        return np.ones(len(position), dtype=bool)
+        return found
     chords = np.linalg.norm(np.diff(position, axis=1), axis=-1)
     cable = polyline(position, np.maximum(lengths, chords / _NEARLY_STRAIGHT), _PIECES)
     reach = vehicles.radius + vehicles.tracking + AROUND_ROTORS
@@ -136,8 +143,10 @@ def rotors_clear(plan: Plan, position: Floats) -> Flags:
     )
     rotors = position[:, :, None, 2] + vehicles.grip_offset - 2.0 * vehicles.tracking
     above = cable[:, None, :, 2] > rotors
-    clear: Flags = ~np.any((aside < reach) & above, axis=(1, 2))
-    return clear
+    hit = (aside < reach) & above
+    for strand in range(len(lengths)):
+        found[..., strand] = hit[..., strand * _PIECES : (strand + 1) * _PIECES + 1].any(axis=-1)
+    return found
 
 
 def _vehicles_apart(plan: Plan, position: Floats) -> Flags:

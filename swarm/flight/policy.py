@@ -143,7 +143,9 @@ ENDS: Mapping[Response, Mapping[Windows, End]] = {
 """Response → windows where the team stands → how it comes down with a cable attached. With neither
 window open it lands all the same, and cable may touch a rotor that stands on the ground. RELEASE
 first moves the clock to a window for the release; after T without one, the team releases at its
-present place."""
+present place. Where a caught strand stops it on the way and no window for the release is open, the
+vehicles at that strand and beside them release before it lands, if none of their strands hangs
+above a rotor."""
 
 
 class Cell(NamedTuple):

@@ -301,9 +301,9 @@ def test_the_others_stay_above_a_vehicle_that_drifts_until_it_is_down(team, kind
 
 
 def moving_to_a_landing(
-    team: str, *, releasable: bool = False, after: str | None = None
+    team: str, *, releasable: bool = False, after: str | None = None, command: str = "land"
 ) -> SteppedSimulation:
-    """A flight whose operator commands to land, in the fold and five seconds before all can.
+    """A flight whose operator commands to land (or release), in the fold, 5 s before all can.
 
     Until then, no vehicle may land, and all may release or none. The command comes two seconds
     ``after`` a fault of vehicle 2, if there is one.
@@ -323,7 +323,7 @@ def moving_to_a_landing(
         )
         for _ in range(40):
             flight.step()
-    flight.conductor.request("land")
+    flight.conductor.request(command)
     return flight
 
 
@@ -410,6 +410,20 @@ def test_a_team_whose_cable_is_caught_on_the_way_to_a_landing_releases_it(team):
     assert found[1].message == "releasing all together"
     assert found[1].time - commanded < 6.0
     assert not flight.emulator.truth().strikes
+
+
+@pytest.mark.parametrize("team", ["ardupilot", "px4"])
+def test_a_caught_strand_is_released_where_the_team_cannot_release_all(team):
+    flight = moving_to_a_landing(team, command="release")
+    flight.emulator.inject(Fault.model_validate({"at": flight.now + 0.3, "kind": "snag"}))
+    while flight.conductor.finished is None:
+        flight.step()
+    released = [event.message for event in flight.events if event.kind == "release"]
+    assert released == ["releasing where the cable is caught: vehicles 2, 1, 3"]
+    truth = flight.emulator.truth()
+    assert not truth.strikes
+    assert not truth.contacts
+    assert truth.position[:, 2].max() < 0.1
 
 
 FIRST_STEPS = Path(__file__).parents[2] / "missions" / "first-steps"

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from swarm.analysis.separation import separation_motion, solo_landing_distance
+from swarm.flight.detect.standstill import SLOW_FROM
 from swarm.flight.ending import finish, mark_failed
 from swarm.flight.modes.approach import at_rest, contingency_of, move_on, stopped
 from swarm.flight.modes.rejoin import continue_rejoining, outside
@@ -17,6 +18,7 @@ from swarm.flight.modes.transitions import change_stage
 from swarm.flight.modes.windows import (
     LONGEST_HOVER,
     adrift,
+    may_release_at,
     nearest_open,
     not_following,
     stays_above,
@@ -156,6 +158,8 @@ def _approach(flight: FlightState) -> None:
     if flight.attached and end_of(contingency_of(flight).response, open_) is End.RELEASE:
         _begin_release(flight)
         return
+    if contingency_of(flight).response is Response.RELEASE_HERE and _release_caught(flight):
+        return
     for k in contingency_of(flight).alone:
         if not (vehicle := flight.roster.vehicles[k]).in_manual_mode:
             _land(flight, k, vehicle)
@@ -187,6 +191,24 @@ def _release_all(flight: FlightState) -> None:
     flight.contingency = replace(contingency_of(flight), staggered=False)
     flight.report("release", "releasing all together")
     _open_grippers(flight, range(len(flight.roster.vehicles)))
+
+
+def _release_caught(flight: FlightState) -> bool:
+    """Release where a strand is caught and beside it, unless cable hangs above a rotor there.
+
+    A caught strand would hold its vehicles in the air, while the team comes down. Return whether
+    there is such a place.
+    """
+    n, error = len(flight.roster.vehicles), flight.observation.error
+    caught = np.flatnonzero(error > SLOW_FROM * flight.allowed_error).tolist()
+    order = list(dict.fromkeys(j for k in caught for j in (k, k - 1, k + 1) if 0 <= j < n))
+    if not flight.attached or not order or not may_release_at(flight, order):
+        return False
+    _change_step(flight, StepTrigger.RELEASE)
+    names = ", ".join(str(k + 1) for k in order)
+    flight.report("release", f"releasing where the cable is caught: vehicles {names}")
+    _open_grippers(flight, order)
+    return True
 
 
 def _release_fallen(flight: FlightState) -> None:

@@ -1,8 +1,11 @@
 """Whether a team outside the plan may land or release at a moment, or waits for a vehicle."""
 
-import numpy as np
+from collections.abc import Collection
 
-from swarm.certification.contingency_windows import rotors_clear
+import numpy as np
+import numpy.typing as npt
+
+from swarm.certification.contingency_windows import above_rotors, rotors_clear
 from swarm.flight.pace import rewind_end
 from swarm.flight.policy import Response, Windows
 from swarm.flight.router import answer_limit
@@ -29,14 +32,25 @@ def may_release(flight: FlightState) -> bool:
 
     Such vehicles stopped by themselves, the others along the path: some decimetres apart.
     """
-    setup, streams, position = flight.setup, flight.streams, flight.observation.position
-    if not setup.windows.can_release(flight.clock.time):
+    if not flight.setup.windows.can_release(flight.clock.time):
         return False
-    places, apart = streams.setpoint.copy(), False
+    return not not_following(flight) or bool(rotors_clear(flight.setup.plan, _places(flight))[0])
+
+
+def may_release_at(flight: FlightState, vehicles: Collection[int]) -> bool:
+    """Return whether the strands beside some vehicles hang above no rotor: these would fall."""
+    above = above_rotors(flight.setup.plan, _places(flight))[0]
+    strands = {s for k in vehicles for s in (k - 1, k) if 0 <= s < above.shape[1]}
+    return not above[:, sorted(strands)].any()
+
+
+def _places(flight: FlightState) -> npt.NDArray[np.float64]:
+    """Return the grip points (1, n, 3): as planned, or where vehicles are that do not follow."""
+    places, position = flight.streams.setpoint.copy(), flight.observation.position
     for k in not_following(flight):
         if np.isfinite(position[k]).all():
-            places[k], apart = position[k], True
-    return not apart or bool(rotors_clear(setup.plan, places[None])[0])
+            places[k] = position[k]
+    return places[None]
 
 
 def not_following(flight: FlightState) -> list[int]:
