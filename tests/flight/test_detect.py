@@ -181,6 +181,14 @@ def flown(motion, moments, **fields) -> list[tuple[float, FailureKind, int]]:
     return found
 
 
+@pytest.mark.parametrize(("degrees", "found"), [(25.0, []), (38.0, [FailureKind.FALLEN_SILENT])])
+def test_a_silent_vehicle_that_pulls_its_neighbour_aside_has_fallen(degrees, found):
+    attitude = np.zeros((3, 3))
+    attitude[2, 1] = -np.radians(degrees)
+    silent = seen(attitude=attitude, heard_at=np.array([10.0, 9.4, 10.0]))
+    assert kinds(LinkDetector(LIMITS, Latch()).detect(silent, expected())) == found
+
+
 def test_a_vehicle_that_a_silent_neighbour_turns_over_has_not_fallen():
     """Before the neighbour counts as silent, and after that, the first cause is reported alone."""
     held, moments = [True] * 3, [(10.0, DOWN * 0, OVER * 0, 10.0, [True] * 3)]
