@@ -326,7 +326,7 @@ def test_a_gate_that_is_not_passed_in_time_lands_the_team():
 @pytest.mark.parametrize(("armed", "found"), [(True, 1), (False, 0)])
 def test_a_height_that_is_set_anew_after_disarming_is_no_drift(armed, found):
     # real ArduCopters of a mixed team, which disarm before the PX4 have landed
-    detector = HeightDetector(3)
+    detector = HeightDetector(3, Latch())
     assert not detector.detect(seen(now=10.0), expected())
     motors = np.array([True, armed, True])
     moved = seen(now=12.0, height_gap=np.array([0.0, 2.0, 0.0]), armed=motors)
@@ -335,12 +335,13 @@ def test_a_height_that_is_set_anew_after_disarming_is_no_drift(armed, found):
 
 @pytest.mark.parametrize("rate", [-0.1, 0.1, 0.6])
 def test_a_height_that_drifts_on_is_corrected_again_and_again(rate):
-    detector, corrected = HeightDetector(3), 0.0
+    detector, corrected = HeightDetector(3, Latch()), 0.0
     for now in np.arange(10.0, 40.0, 0.5).tolist():
         drift = rate * (now - 10.0)
         gap, armed = np.array([0.02, -drift, -0.01]), np.full(3, True)
         for failure in detector.detect(seen(now=now, height_gap=gap, armed=armed), expected()):
             assert failure.vehicle == 1
+            assert failure.known == (corrected != 0.0)
             assert np.abs(failure.jump).max() < JUMP, "no jump of the position is reported for it"
             corrected += failure.jump[2]
         if abs(rate) < LARGEST_STEP:
@@ -350,7 +351,7 @@ def test_a_height_that_drifts_on_is_corrected_again_and_again(rate):
 @pytest.mark.parametrize("commanded", [False, True])
 def test_a_height_that_drifts_after_the_command_to_land_is_no_failure(commanded):
     # a real PX4 whose estimate sank by 1.2 m on the ground, in the four seconds before it disarmed
-    detector = HeightDetector(3)
+    detector = HeightDetector(3, Latch())
     assert not detector.detect(seen(now=10.0), expected())
     moved = seen(now=12.0, height_gap=np.array([0.0, 1.2, 0.0]))
     found = detector.detect(moved, expected(may_land=np.full(3, commanded)))

@@ -65,7 +65,7 @@ class Detectors:
             links=LinkDetector(fleet.limits, reported),
             motion=MotionDetector(n, reported, cable=setup.carries_cable),
             health=HealthDetector(reported, gps=fleet.frame == "gps"),
-            heights=HeightDetector(n),
+            heights=HeightDetector(n, reported),
             grip_slip=GripSlipDetector(plan, reported, enabled=carried),
             tracking=TrackingDetector(options.error_limit, plan.mission.clearance.vehicle),
             hold_timeout=HoldTimeoutDetector(fleet.limits.hold),

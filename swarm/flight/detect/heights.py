@@ -6,6 +6,7 @@ from statistics import median
 import numpy as np
 import numpy.typing as npt
 
+from swarm.flight.detect.latch import Latch
 from swarm.flight.failures import Failure, FailureKind, Finding
 from swarm.flight.observation import Expected, Observation
 
@@ -32,7 +33,8 @@ class HeightDetector:
     minute.
     """
 
-    def __init__(self, n: int) -> None:
+    def __init__(self, n: int, reported: Latch) -> None:
+        self._reported = reported
         self.reference: Floats = np.full(n, np.nan)
         self._next, self._aloft = 0.0, False
 
@@ -63,7 +65,8 @@ class HeightDetector:
                 self.reference[k] += step
                 words = f"{seen.names[k]}'s height has drifted by {off:+.1f} m"
                 jump = np.array([0.0, 0.0, -step])
-                found.append(Failure(FailureKind.HEIGHT_DRIFT, words, k, jump))
+                known = not self._reported.first(FailureKind.HEIGHT_DRIFT, k)
+                found.append(Failure(FailureKind.HEIGHT_DRIFT, words, k, jump, known))
         return found
 
     def _drift(self, seen: Observation, expected: Expected) -> Floats:
