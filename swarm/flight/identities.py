@@ -13,7 +13,7 @@ Errors are:
 
 Components that are not autopilots, such as cameras, may have addresses of their own. A heartbeat is
 no second vehicle by itself: a network may send copies of packets late, and by other ways. It is one
-where it comes again and again.
+where it comes again and again, as from the vehicle's own address.
 """
 
 import math
@@ -35,10 +35,11 @@ LASTING = 2.0
 """Seconds for which clocks must differ: after a restart one of two paths shows it first, and
 packets that waited in a socket are old. Clocks of simulators drift by seconds, but alike on all
 paths."""
-BEATS, BEAT_GAP = 3, 2.5
-"""Heartbeats in a row that show a vehicle at an address, and the most seconds between two of them:
-one may be lost. Where 2 % of nine vehicles' packets come again, from the others' addresses, copies
-of heartbeats do so once in 40 hours."""
+BEATS, BEAT_GAP, BEAT_SHARE = 5, 2.5, 0.2
+"""Heartbeats in a row that show a vehicle at an address, the most seconds between two of them, and
+their share of those that come from the vehicle's own address meanwhile: they were requested four
+times as often. Where 2 % of all packets come again, from one other address, copies of heartbeats do
+so once in 30,000 heartbeats."""
 _WORDS = {"px4": "PX4", "ardupilot": "ArduPilot"}
 _HEARTBEAT = int(common.MAVLINK_MSG_ID_HEARTBEAT)
 _TIMESYNC = int(common.MAVLINK_MSG_ID_TIMESYNC)
@@ -52,7 +53,8 @@ class Place:
     ``trusted`` says whether packets from there count as the vehicle's. ``autopilots`` are the kinds
     in its heartbeats, ``components`` their senders; ``differs`` has since when its clock differs
     from the vehicle's, by message number, ``apart`` by how much, and when that was last received.
-    ``beats`` counts the heartbeats in a row, the last one ``beat_at``.
+    ``beats`` counts the heartbeats in a row, the last one ``beat_at``; ``before`` those from the
+    vehicle's own address before the row. ``speaks``: a vehicle is there, and not only copies.
     """
 
     link: str
@@ -64,17 +66,17 @@ class Place:
     apart: dict[int, tuple[float, float]] = field(default_factory=dict)
     beats: int = 0
     beat_at: float = -math.inf
+    before: int = 0
+    speaks: bool = False
 
-    def beat(self, kind: str, now: float) -> None:
-        """Add the heartbeat of an autopilot."""
-        in_row = self.speaks or now - self.beat_at <= BEAT_GAP
-        self.beats, self.beat_at = self.beats + 1 if in_row else 1, now
+    def beat(self, kind: str, now: float, own: int) -> None:
+        """Add the heartbeat of an autopilot; ``own`` have come from the vehicle's own address."""
+        if not self.speaks and now - self.beat_at > BEAT_GAP:
+            self.beats, self.before = 0, own
+        self.beats, self.beat_at = self.beats + 1, now
+        often = self.beats >= BEAT_SHARE * (own - self.before)
+        self.speaks |= self.beats >= BEATS and often
         self.autopilots.add(kind)
-
-    @property
-    def speaks(self) -> bool:
-        """Whether a vehicle is there, and not only copies of packets."""
-        return self.beats >= BEATS
 
     def compare(self, kind: int, ahead: float, now: float) -> None:
         """Add the seconds by which its clock is ahead of the vehicle's; NaN: not known."""
@@ -119,7 +121,7 @@ class Identities:
         """
         system, component = sender
         place = self._place(system, *way, trusted=True)
-        place.beat(autopilot, now)
+        place.beat(autopilot, now, 0)
         place.components.add(component)
 
     def elsewhere(
@@ -131,7 +133,9 @@ class Identities:
             return
         beat = packet.number == _HEARTBEAT
         if beat and (kind := flying_autopilot(packet.component, message)) is not None:
-            self._place(packet.system, link, address, trusted=False).beat(kind.name, now)
+            other = self._place(packet.system, link, address, trusted=False)
+            own = [place.beats for place in self._places[packet.system].values() if place.trusted]
+            other.beat(kind.name, now, max(own, default=0))
         place = self._places.get(packet.system, {}).get((link, address))
         if place is None:
             return
