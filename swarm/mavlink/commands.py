@@ -14,7 +14,9 @@ from swarm.mavlink.packets import GROUND_COMPONENT, GROUND_SYSTEM, Message
 
 RESEND_AFTER = 1.0
 """Seconds without an acknowledgement after which a command is sent again."""
-ATTEMPTS = 5
+ATTEMPTS = 10
+"""At 20 % of loss each way, 99.8 % of flights with 50 commands have all acknowledged in so many; in
+five, 74 %."""
 IN_PROGRESS_TIMEOUT = 5.0
 """Seconds until the next transmission after an IN_PROGRESS."""
 RETRY_REJECTED_AFTER = 1.0
