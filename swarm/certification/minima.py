@@ -34,8 +34,8 @@ _SMALLEST_HALF = 1e-6
 far below what changes a margin by the tolerance."""
 
 MOST_BOXES, MOST_PER_ROOT = 500_000, 128
-"""A search ends after MOST_BOXES boxes and MOST_PER_ROOT for each initial box, in wind after eight
-times as many: minutes of computing. Margins that are not shown by then count as not shown."""
+"""A search ends after MOST_BOXES boxes and MOST_PER_ROOT for each initial box: seconds of work.
+Margins that are not shown by then count as not shown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,8 +179,7 @@ def failing(
 
 def _most(boxes: Boxes, initial: int) -> int:
     """Largest number of boxes of a search with these initial ones, or with that many."""
-    most = MOST_BOXES + MOST_PER_ROOT * max(len(boxes), initial)
-    return most if boxes.middle.shape[1] <= 3 else 8 * most
+    return MOST_BOXES + MOST_PER_ROOT * max(len(boxes), initial)
 
 
 def _exhausted(boxes: Boxes, found: Enclosure) -> Flags:

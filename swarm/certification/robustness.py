@@ -267,9 +267,10 @@ def _largest(
     """Largest value that holds, to ``step``; ``likely`` is tried first, unless it holds already.
 
     Bisects over the tight boxes, and searches all boxes only for the result: most values fail in
-    few boxes.
+    few boxes. Where a search of all boxes fails at several values in turn, the next is lower by
+    four times as much each time: margins that hold may take too many boxes to show.
     """
-    good, bad = 0.0, most + step
+    good, bad, lower = 0.0, most + step, 0.0
     if holds_there or search.holds(likely):
         good = likely
     elif likely == 0.0 or not search.holds(0.0):
@@ -278,10 +279,12 @@ def _largest(
         bad = likely
     while bad - good > step:
         low, high = search.narrowed(good, bad, most, 0.25 * step)
+        if low > bad - lower:
+            low, high = max(bad - lower, 0.5 * (good + bad)), bad
         if low - good <= 0.25 * step:
             break
         if search.holds(low):
             good, bad = low, high
         else:
-            bad = low
+            bad, lower = low, max(4.0 * lower, 0.25 * step)
     return good
