@@ -69,6 +69,10 @@ class HeightDetector:
                 found.append(Failure(FailureKind.HEIGHT_DRIFT, words, k, jump, known))
         return found
 
+    def compare_anew(self, k: int) -> None:
+        """Compare a vehicle anew: its position has jumped, and its frame with it."""
+        self.reference[k] = np.nan
+
     def _drift(self, seen: Observation, expected: Expected) -> Floats:
         begun = expected.cable == "aloft" and not expected.waiting and not expected.holds
         if begun and not self._aloft:
