@@ -460,3 +460,13 @@ def test_a_team_of_one_meets_its_failure_cases():
     settings = FailureTestSettings(cases_of(plan, names), ["px4"], times=1)
     tests = run_failure_tests(CertifiedPlan(plan, certify(plan)), settings, jobs=1)
     assert {test.case.name for test in tests if test.passed} == set(names)
+
+
+def test_a_wind_beyond_w_is_a_wind_that_vehicles_can_hold():
+    """Its w*, 12 m/s, is of the cable: in 18 m/s, wind and cable take all of their acceleration."""
+    path = FIRST_STEPS / "two_carry.yaml"
+    carrying = planner.plan(parse_mission(path.read_text(), str(path))).certified()
+    assert carrying.assessment.robustness.wind > 10.0
+    settings = FailureTestSettings(cases_of(carrying.plan, ["wind beyond"]), ["mixed"], times=2)
+    (test,) = run_failure_tests(carrying, settings, jobs=1)
+    assert test.passed, test.document()

@@ -303,8 +303,8 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         allowed_strikes=1,
         explanation=(
             "a sudden wind of 6 m/s deflects the cable by 50° and pushes vehicles off their path; "
-            "the cable may touch a rotor during the landing; from about 8 m/s on the emulated "
-            "vehicles cannot hold their positions"
+            "the cable may touch a rotor during the landing; 15 m/s at most, because emulated "
+            "vehicles cannot hold their positions from 17 m/s on"
         ),
     ),
     FailureCase(
