@@ -80,23 +80,19 @@ _GRIPPER = {1: "gripper_stuck_open", 2: "gripper_stuck_shut", 3: "gripper_slip"}
 _FULL, _EMPTY = 12.6, 9.9
 
 
-def _share(value: float) -> float:
-    return min(max(value, 0.0), 1.0)
-
-
 def _link(p: Parameters) -> Values | None:
     if all(p[name] == PARAMETERS[name] for name in _LINK if name != "SIM_LINK_DIR"):
         return None
     direction = int(p["SIM_LINK_DIR"])
     return {
         "kind": "link",
-        "loss": max(_share(p["SIM_LINK_LOSS"]), _share(p["SIM_UART_LOSS"] / 100.0)),
-        "burst": max(p["SIM_LINK_BURST"], 0.0),
-        "latency": max(p["SIM_LINK_DELAY"], 0.0),
-        "jitter": max(p["SIM_LINK_JITTER"], 0.0),
-        "duplicate": _share(p["SIM_LINK_DUP"]),
-        "reorder": _share(p["SIM_LINK_REORD"]),
-        "bandwidth": p["SIM_LINK_BANDW"] if p["SIM_LINK_BANDW"] > 0 else None,
+        "loss": max(p["SIM_LINK_LOSS"], p["SIM_UART_LOSS"] / 100.0),
+        "burst": p["SIM_LINK_BURST"],
+        "latency": p["SIM_LINK_DELAY"],
+        "jitter": p["SIM_LINK_JITTER"],
+        "duplicate": p["SIM_LINK_DUP"],
+        "reorder": p["SIM_LINK_REORD"],
+        "bandwidth": p["SIM_LINK_BANDW"] or None,
         "direction": _DIRECTIONS[direction] if 0 <= direction <= 2 else "both",
     }
 
@@ -117,7 +113,7 @@ def _wind(p: Parameters) -> Values | None:
     if not speed and not p["SIM_WIND_TURB"]:
         return None
     steady = (-speed * math.sin(angle), -speed * math.cos(angle), 0.0)
-    return {"kind": "wind", "steady": steady, "gust": min(max(p["SIM_WIND_TURB"], 0.0), 20.0)}
+    return {"kind": "wind", "steady": steady, "gust": p["SIM_WIND_TURB"]}
 
 
 def _battery(p: Parameters) -> Values | None:
@@ -125,7 +121,7 @@ def _battery(p: Parameters) -> Values | None:
     if p["SIM_BATT_VOLTAGE"] <= 0:
         return None
     charge = (p["SIM_BATT_VOLTAGE"] - _EMPTY) / (_FULL - _EMPTY)
-    return {"kind": "battery", "charge": _share(charge)}
+    return {"kind": "battery", "charge": min(max(charge, 0.0), 1.0)}
 
 
 def _snag(p: Parameters) -> Values | None:
@@ -153,13 +149,9 @@ def _switch(name: str, kind: str, off: float = 0.0) -> Callable[[Parameters], Va
     return fault
 
 
-def _amount(
-    name: str, kind: str, key: str, low: float, high: float
-) -> Callable[[Parameters], Values | None]:
+def _amount(name: str, kind: str, key: str) -> Callable[[Parameters], Values | None]:
     def fault(p: Parameters) -> Values | None:
-        if p[name] == PARAMETERS[name]:
-            return None
-        return {"kind": kind, key: min(max(p[name], low), high)}
+        return None if p[name] == PARAMETERS[name] else {"kind": kind, key: p[name]}
 
     return fault
 
@@ -177,12 +169,12 @@ _FAULTS: dict[str, Callable[[Parameters], Values | None]] = {
     **dict.fromkeys((name for name in OF_ARDUPILOT if "GLTCH" in name), _glitch),
     **dict.fromkeys((name for name in OF_ARDUPILOT if "WIND" in name), _wind),
     "SIM_ARM_REFUSE": _switch("SIM_ARM_REFUSE", "refuse_arming"),
-    "SIM_BARO_DRIFT": _amount("SIM_BARO_DRIFT", "barometer_drift", "rate", -5.0, 5.0),
+    "SIM_BARO_DRIFT": _amount("SIM_BARO_DRIFT", "barometer_drift", "rate"),
     "SIM_BATT_VOLTAGE": _battery,
-    "SIM_CLOCK_MUL": _amount("SIM_CLOCK_MUL", "slow_clock", "fraction", 0.01, 2.0),
+    "SIM_CLOCK_MUL": _amount("SIM_CLOCK_MUL", "slow_clock", "fraction"),
     "SIM_DISARM": _switch("SIM_DISARM", "disarm"),
     "SIM_ENGINE_FAIL": _switch("SIM_ENGINE_FAIL", "motor_loss"),
-    "SIM_ENGINE_MUL": _amount("SIM_ENGINE_MUL", "weak_thrust", "fraction", 0.0, 2.0),
+    "SIM_ENGINE_MUL": _amount("SIM_ENGINE_MUL", "weak_thrust", "fraction"),
     "SIM_FREEZE": _freeze,
     "SIM_GPS1_ENABLE": _switch("SIM_GPS1_ENABLE", "gps_loss", 1.0),
     "SIM_GRIP_FAIL": _gripper,

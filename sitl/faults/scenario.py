@@ -27,6 +27,7 @@ _Wind = Annotated[float, Field(ge=-100.0, le=100.0)]
 _Share = Annotated[float, Field(ge=0.0, le=1.0)]
 _NotNegative = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
 _Seconds = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
+_Delay = Annotated[float, Field(ge=0.0, le=60.0, allow_inf_nan=False)]
 
 KINDS: dict[str, tuple[str, ...]] = {
     "link": (
@@ -89,8 +90,8 @@ class Fault(BaseModel):
     duration: _Seconds | None = Field(default=None, description="s; none: permanent")
     loss: _Share = Field(default=0.0, description="share of packets that are lost")
     burst: _Seconds = Field(default=0.0, description="mean length of a burst of losses, s")
-    latency: _Seconds = Field(default=0.0, description="delay of every packet, s")
-    jitter: _Seconds = Field(
+    latency: _Delay = Field(default=0.0, description="delay of every packet, s")
+    jitter: _Delay = Field(
         default=0.0, description="additional delay, s: uniform from 0 to this for each packet"
     )
     duplicate: _Share = Field(default=0.0, description="share of packets that arrive twice")

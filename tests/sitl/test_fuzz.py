@@ -154,7 +154,9 @@ def test_a_signing_time_of_more_than_six_bytes_is_cut_off(autopilot: str, value:
 @pytest.mark.parametrize(
     ("name", "value"),
     [("SIM_LINK_DELAY", 1e9), ("SIM_LINK_JITTER", 3e38), ("SIM_FREEZE", 1e9),
-     ("SIM_ORIGIN_E", 1e30), ("SIM_GPS1_GLTCH_X", 3e38), ("SIM_WIND_SPD", 1e6)],
+     ("SIM_ORIGIN_E", 1e30), ("SIM_GPS1_GLTCH_X", 3e38), ("SIM_WIND_SPD", 1e6),
+     ("SIM_LINK_DELAY", 61.0), ("SIM_LINK_JITTER", -1.0), ("SIM_LINK_LOSS", 1.5),
+     ("SIM_ENGINE_MUL", -0.5), ("SIM_BARO_DRIFT", 6.0), ("SIM_WIND_TURB", 21.0)],
 )  # fmt: skip
 def test_a_value_that_describes_no_fault_is_not_taken(
     autopilot: str, name: str, value: float
