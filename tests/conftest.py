@@ -27,16 +27,16 @@ hypothesis.settings.load_profile("patient")
 LONGEST = (
     "test_the_overhand_flies_over_udp_and_leaves_its_record",
     "test_house_rule[mypy]",
-    "test_trials_in_processes_are_the_trials_flown_alone",
+    "test_a_closed_terminal_and_another_that_attaches",
     "test_after_sigkill_in_the_fold_the_team_is_found",
     "test_the_walk_through_runs_and_prints_its_output",
-    "test_a_disk_that_becomes_full_in_flight_damages_the_record_only",
-    "test_an_emulator_that_dies_is_a_vehicle_error",
-    "test_a_killed_emulator_is_explained",
-    "test_a_slow_caller_does_not_delay_the_flight",
-    "test_the_tour_plans_certifies_draws_and_rehearses",
-    "test_a_reduced_polygon_has_the_knot_of_the_grid",
+    "test_the_lines_at_the_top_run_with_a_small_mission",
+    "test_trials_in_processes_are_the_trials_flown_alone",
     "test_parameters_are_checked_set_and_restored",
+    "test_a_slow_caller_does_not_delay_the_flight",
+    "test_a_killed_emulator_is_explained",
+    "test_a_closed_pipe_ends_the_screen_and_not_the_flight",
+    "test_the_tour_plans_certifies_draws_and_rehearses",
 )
 """Parts of the names of tests that take ten seconds and more, longest first."""
 
@@ -45,8 +45,9 @@ LONGEST = (
 def in_real_time() -> Iterator[None]:
     """Put flights over real links ahead of the other tests, where the system permits it.
 
-    Autopilots leave offboard where no setpoint comes for half a second: flown four times as fast,
-    that is an eighth. Programs that a test begins inherit what it has of the processor.
+    Where the world does not wait for its ground station, autopilots leave offboard after half a
+    second without setpoint, of its time. Programs that a test begins inherit what it has of the
+    processor.
     """
     before = os.getpriority(os.PRIO_PROCESS, 0)
     with suppress(PermissionError):

@@ -185,7 +185,7 @@ def test_the_papers_own_trajectory_is_shown_and_refused_because_strands_meet(
 def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> None:
     write_bytes(tmp_path / "overhand.plan", certified_plan_file(planned_overhand().certified()))
     result = swarm(
-        "fly", "overhand.plan", "--speed", "3", "--record", "flight", "--json", cwd=tmp_path
+        "fly", "overhand.plan", "--speed", "20", "--record", "flight", "--json", cwd=tmp_path
     )
     assert result.returncode == 0, result.stderr
     flown = json.loads(result.stdout)
@@ -217,7 +217,7 @@ def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> No
 @pytest.mark.usefixtures("in_real_time")
 def test_a_killed_emulator_is_explained_and_exits_with_3(tmp_path: Path) -> None:
     flight = subprocess.Popen(
-        [SWARM, "fly", HOVER, "--speed", "8", "--record", "flight"],
+        [SWARM, "fly", HOVER, "--speed", "20", "--record", "flight"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
     )  # fmt: skip
     assert flight.stdout is not None

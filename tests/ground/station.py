@@ -1,6 +1,7 @@
 """A ground station in a process of its own, so that a test can kill it: python -m MODULE ARGUMENTS.
 
-``fly FOLDER PORT SPEED`` begins a flight; ``resume RECORD PORT SPEED THEN`` takes one up.
+``fly FOLDER PORT SPEED CLOCK`` begins a flight that follows a world's clock;
+``resume RECORD PORT SPEED CLOCK THEN`` takes one up.
 """
 
 import sys
@@ -19,6 +20,7 @@ from swarm.ground.loop import Loop
 from swarm.ground.record import Record
 from swarm.ground.record_reader import recorded_certificate, recorded_plan
 from swarm.ground.sockets import open_links
+from swarm.ground.world_clock import WorldClock
 from swarm.mission.fleet import Fleet, emulated_fleet
 from tests.network import small_plan
 
@@ -39,7 +41,7 @@ def as_audited(conductor: Conductor, sysid: int) -> Outgoing:
     return Outgoing(way.link, way.address, way.encoder.encode(wanted))
 
 
-def run(conductor: Conductor, folder: Path, speed: float) -> None:
+def run(conductor: Conductor, folder: Path, speed: float, world: WorldClock) -> None:
     """Fly to the end, with a record, and print the events."""
     links = open_links(conductor.fleet.links)
     record = Record(folder, time.time())
@@ -61,19 +63,21 @@ def run(conductor: Conductor, folder: Path, speed: float) -> None:
         if phase == "fold" and conductor.clock.time > conductor.plan.phase("fold").start + 3.0:
             print("folding", flush=True)
 
-    Loop(conductor, links, record, speed, each_tick).run()
+    Loop(conductor, links, record, speed, each_tick, world=world).run()
     record.close()
     links.close()
+    world.close()
 
 
 if __name__ == "__main__":
-    what, folder, port, speed, *then = sys.argv[1:]
+    what, folder, port, speed, clock, *then = sys.argv[1:]
+    world = WorldClock(Path(clock), float(speed))
     fleet = fleet_on(int(port))
     if what == "fly":
-        run(Conductor(FLIGHT_PLAN, fleet), Path(folder), float(speed))
+        run(Conductor(FLIGHT_PLAN, fleet), Path(folder), float(speed), world)
     else:
         resumed = ResumedFlight(recorded_plan(Path(folder)), *recorded_certificate(Path(folder)))
         tlog = (Path(folder) / "flight.tlog").read_bytes()
         left = left_off(tlog, resumed.plan, fleet)
         conductor = Conductor(resumed, fleet, left=left, then=then[0])
-        run(conductor, Path(folder) / "resumed", float(speed))
+        run(conductor, Path(folder) / "resumed", float(speed), world)

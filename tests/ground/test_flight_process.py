@@ -23,8 +23,8 @@ from swarm.mission.fleet import emulated_fleet
 from tests.network import small_plan
 
 FLIGHT_PLAN = small_plan()
-SLOW = 20
-"""Snapshots for which the caller of a flight is slow: six seconds of it."""
+SLOW = 8
+"""Snapshots for which the caller of a flight is slow: over two seconds of it."""
 pytestmark = pytest.mark.usefixtures("in_real_time")
 
 
@@ -40,7 +40,7 @@ def flown_by_a_slow_caller(folder):
             pass
 
     flight = FlightRequest(
-        FLIGHT_PLAN, emulated_fleet(3), folder, FlyOptions(speed=8.0), confirm=True
+        FLIGHT_PLAN, emulated_fleet(3), folder, FlyOptions(speed=20.0), confirm=True
     )
     result = fly_in_process(
         flight,

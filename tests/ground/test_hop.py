@@ -38,7 +38,7 @@ def test_a_hop_reports_hover_errors_and_the_tracking_error_to_plan_with(tmp_path
             plan,
             emulated_fleet(3),
             tmp_path / "hop",
-            speed=8.0,
+            speed=20.0,
             callbacks=FlightCallbacks(on_snapshot=screen.show, on_event=screen.event),
         )
     advice, *each = [finding.message for finding in result.findings]

@@ -16,7 +16,7 @@ from swarm.verification import verify_trace
 from tests.command import run
 from tests.ground.station import FLIGHT_PLAN, fleet_on
 
-SPEED = "4"
+SPEED = "8"
 pytestmark = pytest.mark.usefixtures("in_real_time")
 
 
@@ -43,14 +43,16 @@ def free_port():
 
 
 def test_after_sigkill_in_the_fold_the_team_is_found_and_the_flight_continues(tmp_path):
-    port, record = free_port(), tmp_path / "record"
+    port, record, clock = free_port(), tmp_path / "record", str(tmp_path / "clock.bin")
     world = emulated_world(
         FLIGHT_PLAN.plan, emulated_fleet(3, ("ardupilot",)), with_cable=True, seed=1
     )
     (tmp_path / "world.json").write_text(json.dumps(world))
-    sitl = ("sitl", "--world", str(tmp_path / "world.json"), "--speed", SPEED)
-    with process(*sitl, "--target", f"127.0.0.1:{port}"):
-        with process("tests.ground.station", "fly", str(record), port, SPEED) as station:
+    sitl = ("sitl", "--world", str(tmp_path / "world.json"), "--speed", SPEED, "--clock", clock)
+    with process(*sitl, "--target", f"127.0.0.1:{port}") as world_process:
+        assert "3 emulated vehicles" in world_process.stdout.readline()
+        ground = (str(record), port, SPEED, clock)
+        with process("tests.ground.station", "fly", *ground) as station:
             said = []
             for line in station.stdout:
                 said.append(line)
@@ -60,7 +62,7 @@ def test_after_sigkill_in_the_fold_the_team_is_found_and_the_flight_continues(tm
                 raise AssertionError(said[-10:])
             station.send_signal(signal.SIGKILL)
             station.wait()
-        with process("tests.ground.station", "resume", str(record), port, SPEED, "continue") as on:
+        with process("tests.ground.station", "resume", *ground, "continue") as on:
             said = on.communicate(timeout=60)[0]
     assert "resume: found the team at " in said
     assert "vehicle 3 follows again" in said, said[:3000]
