@@ -8,6 +8,7 @@ import numpy.typing as npt
 from swarm.certification.monitor import LOOKAHEAD
 from swarm.flight import estimation
 from swarm.flight.estimation import Measured
+from swarm.flight.failures import FailureKind
 from swarm.flight.monitoring import Monitored, Sample
 from swarm.flight.observation import observation_of
 from swarm.flight.preparation import Prepared
@@ -53,10 +54,11 @@ def place_team(flight: FlightState, prepared: Prepared) -> None:
     flight.placement = replace(flight.placement, start_position=start)
 
 
-def shift_frame(flight: FlightState, k: int, jump: Floats) -> None:
+def shift_frame(flight: FlightState, k: int, jump: Floats, kind: FailureKind) -> None:
     """Move a vehicle's frame with its reported position, which jumped by (3,) metres.
 
-    The vehicle did not move. Its setpoints then keep it where it is.
+    The vehicle did not move. Its setpoints then keep it where it is, and detectors compare in the
+    new frame.
     """
     placement = flight.placement
     if placement.frames is None:
@@ -65,6 +67,7 @@ def shift_frame(flight: FlightState, k: int, jump: Floats) -> None:
     by[k] = -jump
     flight.placement = replace(placement, frames=placement.frames.shifted(by))
     flight.observation = flight.observation.shifted(k, jump)
+    flight.detectors.follow_frame(k, jump, kind)
 
 
 def follow_swing(flight: FlightState) -> None:

@@ -3,7 +3,7 @@
 from swarm.flight import policy
 from swarm.flight.detect.station import STALLED
 from swarm.flight.ending import mark_failed
-from swarm.flight.failures import Failure, FailureKind, Finding, HoldCause, Recovery
+from swarm.flight.failures import Failure, Finding, HoldCause, Recovery
 from swarm.flight.holds import end_failures, hold
 from swarm.flight.modes.contingency import (
     leave_the_plan,
@@ -37,9 +37,7 @@ def _fail(flight: FlightState, failure: Failure) -> None:
     if row.ends_stream and k is not None:
         stop_stream(flight, k)
     if failure.jump is not None and k is not None:
-        shift_frame(flight, k, failure.jump)
-        if failure.kind is FailureKind.POSITION_JUMP:
-            flight.detectors.heights.compare_anew(k)
+        shift_frame(flight, k, failure.jump, kind)
     if failure.known:
         return
     flight.report("failure", f"{kind}: {message}", vehicle)

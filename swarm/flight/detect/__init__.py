@@ -6,7 +6,7 @@ from typing import Protocol
 
 from swarm.flight.detect.grip_slip import GripSlipDetector
 from swarm.flight.detect.health import HealthDetector
-from swarm.flight.detect.heights import HeightDetector
+from swarm.flight.detect.heights import Floats, HeightDetector
 from swarm.flight.detect.latch import Latch
 from swarm.flight.detect.links import LinkDetector
 from swarm.flight.detect.motion import MotionDetector
@@ -18,7 +18,7 @@ from swarm.flight.detect.standstill import (
 )
 from swarm.flight.detect.station import StationDetector
 from swarm.flight.detect.tracking import TrackingDetector
-from swarm.flight.failures import Finding
+from swarm.flight.failures import FailureKind, Finding
 from swarm.flight.observation import Expected, Observation
 from swarm.flight.setup import Setup
 from swarm.flight.stages import Stage
@@ -72,6 +72,11 @@ class Detectors:
             standstill=StandstillDetector(enabled=paced),
             blocked=BlockedDetector(),
         )
+
+    def follow_frame(self, k: int, jump: Floats, kind: FailureKind) -> None:
+        """Compare in a frame that moved by (3,) metres: with its position, or by a drift."""
+        self.motion.follow_frame(k, jump)
+        self.heights.follow_frame(k, jump, kind)
 
     def each_tick(self) -> Iterator[tuple[frozenset[Stage], Detector]]:
         """Yield the detectors in their order, each with the stages in which it detects."""

@@ -17,7 +17,7 @@ HEIGHT_DRIFT = (0.3, 1.0)
 receivers that report a good accuracy while the cable is aloft, and otherwise. A receiver never
 permits less than its own accuracy."""
 LARGEST_STEP = 0.4
-"""Metres by which a height is corrected at once: less than a jump of the position."""
+"""Metres by which a height is corrected at once, so that the team need not follow a step."""
 _ACCURACIES = 5.0
 """Multiple of the receivers' stated vertical accuracy that a drift must exceed."""
 _INTERVAL = 1.0
@@ -62,16 +62,17 @@ class HeightDetector:
             flies = expected.armed[k] and seen.armed[k] and not expected.may_land[k]
             if flies and abs(off) > allowed:
                 step = math.copysign(min(abs(off), LARGEST_STEP), off)
-                self.reference[k] += step
                 words = f"{seen.names[k]}'s height has drifted by {off:+.1f} m"
                 jump = np.array([0.0, 0.0, -step])
                 known = not self._reported.first(FailureKind.HEIGHT_DRIFT, k)
                 found.append(Failure(FailureKind.HEIGHT_DRIFT, words, k, jump, known))
         return found
 
-    def compare_anew(self, k: int) -> None:
-        """Compare a vehicle anew: its position has jumped, and its frame with it."""
-        self.reference[k] = np.nan
+    def follow_frame(self, k: int, jump: Floats, kind: FailureKind) -> None:
+        """Follow a frame that moved: a drift becomes part of the reference, and after a jump of the
+        position, which its satellite receiver may share, the vehicle is compared anew."""
+        drifted = kind is FailureKind.HEIGHT_DRIFT
+        self.reference[k] = self.reference[k] - jump[2] if drifted else np.nan
 
     def _drift(self, seen: Observation, expected: Expected) -> Floats:
         begun = expected.cable == "aloft" and not expected.waiting and not expected.holds

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import numpy.typing as npt
 
 from swarm.flight import estimation
 from swarm.flight.detect.latch import Latch
@@ -15,6 +16,8 @@ from swarm.flight.detect.links import (
 from swarm.flight.estimation import Measured
 from swarm.flight.failures import Failure, FailureKind, Finding
 from swarm.flight.observation import Expected, Observation
+
+Floats = npt.NDArray[np.float64]
 
 SINKING = 1.0
 """m/s by which a vehicle may descend faster than commanded."""
@@ -69,10 +72,11 @@ class MotionDetector:
                 if expected.armed[k] and not expected.may_land[k] and now.at[k] > last.at[k]:
                     found += self._examine(seen, expected, k)
         estimation.keep_reports(now, last, self._step)
-        for failure in found:
-            if isinstance(failure, Failure) and failure.jump is not None:
-                last.reported[failure.vehicle] -= failure.jump
         return found
+
+    def follow_frame(self, k: int, jump: Floats) -> None:
+        """Follow a frame that moved: the next report is compared in it."""
+        self._last.reported[k] -= jump
 
     def _examine(self, seen: Observation, expected: Expected, k: int) -> list[Finding]:
         last = self._last
