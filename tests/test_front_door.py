@@ -14,6 +14,7 @@ import swarm
 from swarm.planning import digest
 from swarm.version import __version__
 from tests.network import sideways, small_plan, uncleared
+from tests.overhand import planned_overhand
 
 LIBRARIES = (
     "numpy",
@@ -127,7 +128,7 @@ def test_text_in_notebooks_is_escaped():
 
 
 def test_figures_of_certificates_are_rounded_down():
-    found = swarm.certify(sideways())
+    found = planned_overhand().certified().certificate
     told = re.fullmatch(r"<Certificate: cleared for 0.1 m, e\* (.*) m, w\* (.*) m/s>", repr(found))
     for words, held_for, step in zip(
         told.groups(), (found.max_tracking_error, found.max_wind), (0.01, 0.1), strict=True

@@ -10,11 +10,11 @@ Floats = npt.NDArray[np.float64]
 
 
 class Recorder:
-    """Events since they were last taken, and all samples of the flight."""
+    """Events since they were last taken, and all samples of the flight, which do not change."""
 
     def __init__(self) -> None:
         self._events: list[Event] = []
-        self._samples: list[tuple[float, float, Floats, Floats, str, Floats]] = []
+        self.samples: list[tuple[float, float, Floats, Floats, str, Floats]] = []
         self.next_sample = 0.0
 
     def event(self, time: float, kind: str, message: str, vehicle: int | None) -> None:
@@ -35,11 +35,11 @@ class Recorder:
     ) -> None:
         """Add a moment: its time and mission time, positions and setpoints (n, 3), the plan's
         phase, and the strays (n − 1,) of the strands."""
-        self._samples.append((*times, *places, phase, stray))
+        self.samples.append((*times, *places, phase, stray))
 
     def trace(self, n: int, segments: int) -> Trace:
         """Return the flight of n vehicles with so many cable segments so far."""
-        samples = self._samples
+        samples = self.samples
         return Trace(
             time=np.array([row[0] for row in samples]),
             mission_time=np.array([row[1] for row in samples]),

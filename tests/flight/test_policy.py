@@ -183,7 +183,7 @@ def test_a_second_report_makes_no_response_to_a_fall_less_safe(folding, kind, an
             flight.roster.vehicles[k].commands.clear()
         for step in (Step.RELEASE, Step.SEPARATE, Step.DESCEND):
             for second in (2, 3):
-                later = branch(flight, (flight.setup, flight.stream_loss))
+                later = branch(flight, (flight.setup, *lasting(folding)))
                 later.contingency = replace(later.contingency, step=step)
                 before = holding(later)
                 respond(later, Failure(kind, WORDS, second))
