@@ -53,7 +53,8 @@ def set_audited_parameters(emulator: Emulator, flight_plan: CertifiedPlan, fleet
 
 def lasting(flight: Conductor) -> tuple[object, ...]:
     """Return the constants of a flight and what it has recorded, which its copies share."""
-    return flight.state.setup, flight.stream_loss, *flight.state.recorder.samples
+    setup = flight.state.setup
+    return setup, setup.monitor, flight.stream_loss, *flight.state.recorder.samples
 
 
 @dataclass(eq=False)
