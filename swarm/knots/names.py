@@ -115,6 +115,8 @@ def _factor(part: str, text: str) -> tuple[list[Factor], bool]:
     name = f"{match[2]}_{int(match[3])}" if match else ""
     if name not in knot_table():
         hint = nearest(part, COMMON_NAMES) or ";"  # a number without a knot is near to nothing
+        if re.match(r"(dt|gauss)(code)?\W", text, re.IGNORECASE):
+            hint = "; a code stands in a mission file, as knot: {dt: …} or {gauss: …};"
         raise KnotError(f'no knot is called "{text}" here{hint} `swarm knots` lists the names')
     hand = (-1 if mirror else 1) if knot_table()[name].chiral else 0
     return [(name, hand)], bool(mirror)

@@ -205,6 +205,11 @@ def test_a_given_grid_is_kept() -> None:
         ),
         ({"name": "8_22"}, 'no knot is called "8_22" here; `swarm knots` lists the names'),
         (
+            {"name": "GaussCode[1]"},
+            'no knot is called "GaussCode[1]" here; a code stands in a mission file, as knot: '
+            "{dt: …} or {gauss: …}; `swarm knots` lists the names",
+        ),
+        (
             {"name": "m3_1", "chirality": "right"},
             '"m3_1" is left-handed, but chirality says right',
         ),
