@@ -150,7 +150,7 @@ class SwingingRope:
         """
         chain = self._chain
         nodes, holders = self._held, [holder for _, holder in self.grips]
-        drift, push = np.zeros_like(chain.place), np.zeros_like(chain.place)
+        drift, push = np.zeros(chain.place.shape), np.zeros(chain.place.shape)
         if holders:
             drift[nodes] = grips[holders] + self._drawn_in(interval) - chain.place[nodes]
             chain.mobility[nodes], chain.velocity[nodes] = 0.0, 0.0
@@ -166,7 +166,7 @@ class SwingingRope:
         self._grips = grips.copy()
         steps = max(1, round(_STEPS * interval / STEP))
         advance(chain, self._spec, Guidance(push, drift), interval, steps)
-        force = np.zeros_like(grips)
+        force = np.zeros(grips.shape)
         if holders:
             force[holders] = chain.pull[nodes]
             force[holders, 2] -= GRAVITY * chain.mass[nodes]
@@ -182,6 +182,8 @@ class SwingingRope:
 
     def _break_overloaded(self) -> None:
         """Break the link of largest tension in each span, if it exceeds the breaking load."""
+        if self._chain.tension.max(initial=0.0) <= self.spec.breaking_load:
+            return
         for first, last in itertools.pairwise(self._held):
             worst = first + int(np.argmax(self._chain.tension[first:last]))
             whole = self._chain.intact[first:last].all()
@@ -191,10 +193,10 @@ class SwingingRope:
 
     def _drawn_in(self, interval: float) -> Array:
         """Return the caught cable's remaining distances from all grip points; reduce them."""
-        rest = np.zeros((len(self.grips), 3))
+        rest, left = np.zeros((len(self.grips), 3)), float(np.exp(-interval / _CLOSING_TIME))
         for row, (_, holder) in enumerate(self.grips):
             if holder in self._offsets:
-                self._offsets[holder] *= float(np.exp(-interval / _CLOSING_TIME))
+                self._offsets[holder] *= left
                 rest[row] = self._offsets[holder]
         return rest
 
