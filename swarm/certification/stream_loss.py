@@ -1,7 +1,8 @@
 """The certificate of stream losses: margins after the setpoints end, and the clock's rate for them.
 
 A vehicle without setpoints continues with its last velocity until its autopilot's timeout (PX4:
-COM_OF_LOSS_T, then Hold or Land; ArduPilot: GUID_TIMEOUT, then it stops) and brakes. Either the
+COM_OF_LOSS_T, then Hold or Land; ArduPilot: GUID_TIMEOUT) and brakes; ArduPilot then returns to
+where it was at the timeout, which is its last target (``posvelaccel_control_run``). Either the
 whole team loses its setpoints, or one vehicle does: then the others continue until it has been
 silent for the fleet's ``limits.silence``, and stop along their paths. Where a clearance or a chord
 would fail, the mission clock's rate is limited: all these distances shrink with it. Rates are
@@ -15,7 +16,7 @@ plan, and of cable that hangs still.
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -40,15 +41,17 @@ RATES = (1.0, 0.85, 0.72, 0.61, 0.52, 0.45, 0.38, 0.34, 0.3)
 FINE_RATES = tuple(float(rate) for rate in np.linspace(1.0, 0.3, 8))
 """Clock rates that are tried for plans' own timing."""
 BRAKING_TIME = 0.3
-"""Seconds for which a vehicle that is commanded to stop continues at its speed: both autopilots
-brake with about 3 m/s², which takes less at speeds up to 2 m/s."""
+"""Seconds for which a vehicle that is commanded to stop where it is continues at its speed: with
+3 m/s² (MPC_ACC_HOR) it takes less at speeds up to 2 m/s."""
+_TURNING = (0.45, 0.15)
+"""Seconds at its speed by which ArduCopter passes the target at which its setpoints ended, and the
+additional seconds per m/s: 0.51, 0.57 and 0.73 s with 0.5, 1 and 2 m/s (ArduCopter 4.6 and default
+parameters, in its own simulator)."""
 _SIDE_BY_SIDE = 100
 """Moments that are computed by several threads: a thread starts in the time of a few of them."""
 _FOUND = 0.005
 """Metres of margin at a sample from which a rate is tried: exactly at none, no finite search can
 show that it holds between samples."""
-_SHARES = (0.5, 1.0)
-"""Shares of a motion after a loss at which it is sampled."""
 
 
 @dataclass(frozen=True)
@@ -57,20 +60,39 @@ class StreamLossModel:
 
     They continue for ``timeout`` seconds (COM_OF_LOSS_T, GUID_TIMEOUT): one number per vehicle
     along the cable, or one for all. A vehicle that then lands descends by up to ``descent`` metres
-    (as many numbers) before the others do. ``silence`` is the time in seconds after which the
-    ground station holds the others.
+    (as many numbers) before the others do; one that ``returns`` (likewise) goes back to where it
+    was at the timeout. ``silence`` is the time in seconds after which the ground station holds the
+    others.
     """
 
     timeout: tuple[float, ...] = (0.5,)
     silence: float = 0.7
     descent: tuple[float, ...] = (0.0,)
+    returns: tuple[bool, ...] = (False,)
+
+    @property
+    def shortest(self) -> Self:
+        """The same behaviour, with one number for all where all have the same."""
+        alike = {
+            name: values[:1]
+            for name, values in vars(self).items()
+            if name != "silence" and len(set(values)) == 1
+        }
+        return replace(self, **alike)
 
     def overrun(self, plan: Plan) -> Overrun:
         """Return how far the vehicles of a plan move on."""
-        coast_time = np.broadcast_to(np.array(self.timeout) + BRAKING_TIME, plan.vehicles)
-        descent = np.broadcast_to(np.array(self.descent), plan.vehicles)
-        limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
-        return Overrun(coast_time, BRAKING_TIME, self.silence, limits, descent)
+        timeout, descent, returns = (
+            np.broadcast_to(values, plan.vehicles)
+            for values in (self.timeout, self.descent, self.returns)
+        )
+        vehicles = plan.mission.vehicles
+        turning = _TURNING[0] + _TURNING[1] * vehicles.max_speed
+        braking_time = np.where(returns, turning, BRAKING_TIME)
+        coast_time = timeout + braking_time
+        rest_time = np.where(returns, timeout, coast_time)
+        limits = clock_limits(plan.motion, vehicles.braking_acceleration)
+        return Overrun(coast_time, rest_time, braking_time, self.silence, limits, descent)
 
 
 @dataclass(frozen=True)
@@ -381,12 +403,17 @@ def _losses(plan: Plan, when: tuple[Floats, float], rate: float, overrun: Overru
     """Return the sampled positions after losses at times (k,) and a clock rate, up to an end."""
     times, end = when
     position, velocity, _ = plan.motion.at(times)
-    # The team continues until the silence is detected; then the clock's rate falls to zero.
+    # The team continues until the silence is detected; then the clock's rate falls to zero. Moments
+    # are halfway, at the ends of these motions, and when vehicles have returned, if any does.
     advance = overrun.advance(times, np.array(rate))
-    after = np.array(_SHARES)
-    team = plan.motion.at(np.minimum(times + after[:, None] * advance, end))[0]
-    coast = rate * overrun.coast_time
-    ahead = plan.motion.at(np.minimum(times + after[:, None] * coast.max(), end))[0]
-    moved = coast[:, None] * velocity
+    coast, rest = rate * overrun.coast_time, rate * overrun.rest_time
+    moments = [(0.5 * coast, 0.5), (coast, 1.0)]
+    if (rest < coast).any():
+        moments.append((rest, 1.0))
+    seconds = np.array([coasted for coasted, _ in moments])
+    share = np.array([share for _, share in moments])[:, None]
+    team = plan.motion.at(np.minimum(times + share * advance, end))[0]
+    ahead = plan.motion.at(np.minimum(times + seconds.max(axis=1, keepdims=True), end))[0]
+    moved = seconds[:, None, :, None] * velocity
     tracking = plan.mission.vehicles.tracking
-    return Losses(position, moved, np.array(overrun.descent), team, ahead, after, tracking)
+    return Losses(position, moved, share * overrun.descent, team, ahead, tracking)

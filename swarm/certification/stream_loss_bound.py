@@ -57,13 +57,15 @@ class Overrun:
     """How far vehicles move on after a stream loss.
 
     At a clock of rate 1, each vehicle without setpoints coasts for up to ``coast_time`` (n,)
-    seconds, of which ``braking_time`` is braking. The others advance for ``silence`` seconds until
-    the clock slows, as fast as ``limits`` allow. A vehicle that lands alone descends by up to
-    ``descent`` (n,) metres before the others do.
+    seconds, of which ``braking_time`` (n,) is braking, and comes to rest where it was after
+    ``rest_time`` (n,) seconds: farther back where it returns. The others advance for ``silence``
+    seconds until the clock slows, as fast as ``limits`` allow. A vehicle that lands alone descends
+    by up to ``descent`` (n,) metres before the others do.
     """
 
     coast_time: Floats
-    braking_time: float
+    rest_time: Floats
+    braking_time: Floats
     silence: float
     limits: ClockLimits
     descent: Floats
@@ -84,19 +86,43 @@ class Overrun:
         largest: Floats = found + ((end - start) / _SAMPLES)[:, None]
         return largest
 
+    @property
+    def lag(self) -> Floats:
+        """How far (n,) each may be behind the others in seconds of coasting, if all coast."""
+        farther = self.coast_time - self.rest_time[:, None]
+        alike = (self.coast_time == self.coast_time[:, None]) & (
+            self.rest_time == self.rest_time[:, None]
+        )
+        lag: Floats = np.where(alike, 0.0, np.maximum(farther, 0.0)).max(axis=1)
+        return lag
+
     def largest_advance(
-        self, lost: tuple[Floats, Floats], vehicle: Ints, coast: Floats, advances: Floats
-    ) -> Floats:
+        self, lost: tuple[Floats, Floats], vehicle: Ints, coast: Floats, fastest: Floats,
+        advances: Floats,
+    ) -> Floats:  # fmt: skip
         """Return bounds (m,) of the team's advance when a vehicle has coasted for up to ``coast``.
 
-        The setpoints were ``lost`` between these times (m,). ``advances`` (m, r) are bounds for
-        the whole intervals that contain them, at _RATES: close ones where the times are far apart.
+        The setpoints were ``lost`` between these times (m,), at a clock rate up to ``fastest``
+        (m,). ``advances`` (m, r) are bounds for the whole intervals that contain them, at _RATES:
+        close ones where the times are far apart.
         """
-        (first, last), rate = lost, coast / self.coast_time[vehicle]
-        stopped = rate * (self.coast_time[vehicle] + self.braking_time)
+        (first, last), rate = lost, np.minimum(coast / self.rest_time[vehicle], fastest)
         # a stop that begins earlier ends no later
         least = np.minimum(at_rate(advances, rate), self.advance(last, rate) + (last - first))
-        return np.maximum(least, stopped)
+        return np.maximum(least, self.stopped(vehicle, rate))
+
+    def least_advance(self, vehicle: Ints, coast: Floats) -> Floats:
+        """Return bounds (m,) of the team's advance when a vehicle has coasted for ``coast``."""
+        return coast * np.minimum(1.0, self.silence / self.coast_time[vehicle])
+
+    def stopped(self, vehicle: Ints, rate: Floats) -> Floats:
+        """Return the least advance (m,) that counts, for any clock: until a vehicle has stopped.
+
+        One that returns has passed the place at a lower rate that counts with all of the advance.
+        """
+        returned = self.rest_time[vehicle] < self.coast_time[vehicle]
+        stopped = self.coast_time[vehicle] + np.where(returned, 0.0, self.braking_time[vehicle])
+        return rate * stopped
 
 
 def at_rate(advances: Floats, rate: Floats) -> Floats:
@@ -143,7 +169,7 @@ class StreamLossBound:
         )
         self._motion = LossMotion(
             times, joints, coefficients, motion.accelerations, motion.jerks,
-            np.array(overrun.coast_time), np.array(overrun.descent),
+            overrun.lag, np.array(overrun.descent),
             plan.mission.vehicles.tracking, end,
         )  # fmt: skip
         self._required = required_of(plan)
@@ -164,14 +190,14 @@ class StreamLossBound:
             interval = boxes.group % count
             if rounds > _ROUNDS:
                 shown[interval] = False
-            where = shown[interval] & self._possible(boxes, advances)
+            where = shown[interval] & self._possible(boxes, rate, advances)
             open_ = np.bincount(interval[where], minlength=count)
             shown[open_ > _MOST_BOXES] = False
             where &= shown[interval]
             return where
 
         def undecided(boxes: Boxes, found: Enclosure) -> Flags:
-            failed = self._reached(boxes, advances) & (found.high < 0.0)
+            failed = self._reached(boxes, rate, advances) & (found.high < 0.0)
             shown[boxes.group[failed] % count] = False
             return found.low < 0.0
 
@@ -190,34 +216,36 @@ class StreamLossBound:
         coast_time = np.append(self._overrun.coast_time.max(), self._overrun.coast_time)
         coast = coast_time[case] * rate[interval]
         advance = at_rate(advances[interval], rate[interval])
-        stopped = coast + self._overrun.braking_time * rate[interval]
+        stopped = self._overrun.stopped(np.maximum(case - 1, 0), rate[interval])
         advance = np.where(case > 0, np.maximum(advance, stopped), 0.0)
         middle = np.column_stack([0.5 * (start + end)[interval], 0.5 * coast, 0.5 * advance])
         half = np.column_stack([0.5 * (end - start)[interval], 0.5 * coast, 0.5 * advance])
         return Boxes(group, middle, half, np.full(len(group), -np.inf))
 
-    def _possible(self, boxes: Boxes, advances: Floats) -> Flags:
+    def _possible(self, boxes: Boxes, rate: Floats, advances: Floats) -> Flags:
         """Boxes with possible states: the team neither goes back nor advances too far."""
         case, interval = np.divmod(boxes.group, len(advances))
         time, coast, advance = boxes.middle.T
         time_half, coast_half, advance_half = boxes.half.T
         longest = self._overrun.largest_advance(
             (time - time_half, time + time_half), np.maximum(case - 1, 0), coast + coast_half,
-            advances[interval],
+            rate[interval], advances[interval],
         )  # fmt: skip
-        behind = advance + advance_half < coast - coast_half
+        least = self._overrun.least_advance(np.maximum(case - 1, 0), coast - coast_half)
+        behind = advance + advance_half < least
         beyond = advance - advance_half > longest
         possible: Flags = ~((case > 0) & (behind | beyond))
         return possible
 
-    def _reached(self, boxes: Boxes, advances: Floats) -> Flags:
+    def _reached(self, boxes: Boxes, rate: Floats, advances: Floats) -> Flags:
         """Boxes whose middle is a possible state."""
         case, interval = np.divmod(boxes.group, len(advances))
         time, coast, advance = boxes.middle.T
         longest = self._overrun.largest_advance(
-            (time, time), np.maximum(case - 1, 0), coast, advances[interval]
+            (time, time), np.maximum(case - 1, 0), coast, rate[interval], advances[interval]
         )
-        reached: Flags = (case == 0) | ((advance >= coast) & (advance <= longest))
+        least = self._overrun.least_advance(np.maximum(case - 1, 0), coast)
+        reached: Flags = (case == 0) | ((advance >= least) & (advance <= longest))
         return reached
 
     def _margins(self, boxes: Boxes, rate: Floats) -> Enclosure:

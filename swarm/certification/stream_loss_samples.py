@@ -24,19 +24,18 @@ from swarm.signatures import Floats1, Floats2, Floats3, Floats4, Ints1
 class Losses(NamedTuple):
     """Positions after losses at k moments, metres ENU.
 
-    ``position`` (k, n, 3) at the loss, ``moved`` (k, n, 3) how far vehicles without setpoints move,
-    and ``descent`` (n,) how far one of them descends. ``team`` (s, k, n, 3) are the planned
-    positions of the others after each of the ``shares`` (s,) of the motion, and ``ahead`` those of
+    ``position`` (k, n, 3) at the loss. At each of s moments after it, ``moved`` (s, k, n, 3) is how
+    far vehicles without setpoints have moved, and ``descended`` (s, n) how far one of them has
+    descended; ``team`` (s, k, n, 3) are the planned positions of the others, and ``ahead`` those of
     all without setpoints. Within ``tracking`` metres of planned positions, everything is certified;
     with a negative one nothing is, and the plan itself counts as well.
     """
 
     position: Floats3
-    moved: Floats3
-    descent: Floats1
+    moved: Floats4
+    descended: Floats2
     team: Floats4
     ahead: Floats4
-    shares: Floats1
     tracking: float
 
 
@@ -67,11 +66,11 @@ def write_margins(
     found, enough = limits
     for k in range(len(margins)):
         margins[k], vehicles[k] = enough, 0
-        for share in range(len(losses.shares)):
+        for after in range(len(losses.moved)):
             for who in range(-2 if losses.tracking < 0.0 else -1, losses.position.shape[1]):
                 if margins[k] < found:
                     break
-                if _place((k, share, who), losses, memory.team) > losses.tracking:
+                if _place((k, after, who), losses, memory.team) > losses.tracking:
                     margin = _smallest(
                         Query(max(who, -1), (0.0, 0.0, 0.0), found, margins[k]), required, memory
                     )
@@ -85,17 +84,17 @@ def _place(which: tuple[int, int, int], losses: Losses, team: Team) -> float:
 
     All vehicles without setpoints (−1), one of them, or none (−2).
     """
-    (k, share, who), farthest = which, 0.0
+    (k, after, who), farthest = which, 0.0
     for i in range(len(team.position)):
-        planned = losses.ahead[share, k, i] if who == -1 else losses.team[share, k, i]
+        planned = losses.ahead[after, k, i] if who == -1 else losses.team[after, k, i]
         for axis in range(3):
             if who in (-1, i):
-                moved = losses.shares[share] * losses.moved[k, i, axis]
+                moved = losses.moved[after, k, i, axis]
                 team.position[i, axis] = losses.position[k, i, axis] + moved
             else:
                 team.position[i, axis] = planned[axis]
         if who == i:
-            team.position[i, 2] -= losses.shares[share] * losses.descent[i]
+            team.position[i, 2] -= losses.descended[after, i]
         farthest = max(farthest, point_distance(team.position[i], planned))
     return farthest
 

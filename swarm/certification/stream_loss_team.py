@@ -23,9 +23,10 @@ class LossMotion(NamedTuple):
     """The planned motion of n vehicles, and how it continues without setpoints.
 
     ``times``, ``joints``, ``coefficients``, ``accelerations`` and ``jerks`` are those of a
-    :class:`.motion_bounds.BoundedMotion`. Vehicles coast for ``coast_time`` seconds (n,) and
-    descend by ``descent`` metres (n,). Within ``tracking`` metres of the planned positions at one
-    time, everything is certified. ``end`` is the last mission time that is reached.
+    :class:`.motion_bounds.BoundedMotion`. If all coast, each is up to ``lag`` (n,) seconds of
+    coasting behind the first; one that lands alone descends by ``descent`` metres (n,). Within
+    ``tracking`` metres of the planned positions at one time, everything is certified. ``end`` is
+    the last mission time that is reached.
     """
 
     times: Floats1
@@ -33,7 +34,7 @@ class LossMotion(NamedTuple):
     coefficients: Floats4
     accelerations: Floats3
     jerks: Floats3
-    coast_time: Floats1
+    lag: Floats1
     descent: Floats1
     tracking: float
     end: float
@@ -127,11 +128,8 @@ def _coast(box: Box, i: int, motion: LossMotion, team: Team) -> float:
     pieces = pieces_between(motion.joints, box.time - box.half, box.time + box.half)
     largest_acceleration = largest_between(motion.accelerations, pieces, i)
     largest_jerk = largest_between(motion.jerks, pieces, i)
-    # Whole team: each has coasted as long as the last to stop, or less where it stops earlier.
-    longest = 0.0
-    for k in range(len(motion.coast_time)):
-        longest = max(longest, motion.coast_time[k])
-    earlier = box.rate * (longest - motion.coast_time[i]) if box.case == 0 else 0.0
+    # Whole team: each has coasted as long as the last to stop, or less where it lags behind.
+    earlier = box.rate * motion.lag[i] if box.case == 0 else 0.0
     sunk = 0.5 * motion.descent[i] if box.case > 0 else 0.0
     middle, most = max(box.coast - 0.5 * earlier, 0.0), box.coast + box.coast_half
     fastest = _norm(velocity) + largest_acceleration * box.half

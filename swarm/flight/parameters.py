@@ -331,19 +331,20 @@ def evaluate(
 
 
 def stream_loss_model(
-    vehicles: Sequence[tuple[AutopilotName, Mapping[str, Value]]], limits: Limits
+    vehicles: Sequence[tuple[str, Mapping[str, Value]]], limits: Limits
 ) -> StreamLossModel:
-    """Return the stream-loss model of vehicles with these parameters, in order along the cable.
+    """Return the stream-loss model of vehicles with these autopilots and parameters, in order.
 
     A parameter that is not known counts as the longest time that passes the audit. A vehicle that
     lands when its setpoints end descends until that is detected.
     """
     names = {"px4": "COM_OF_LOSS_T", "ardupilot": "GUID_TIMEOUT"}
-    times = [float(values.get(names[one], STREAM_LOSS_TIME)) for one, values in vehicles]
+    times = [float(values.get(names.get(one, ""), STREAM_LOSS_TIME)) for one, values in vehicles]
     timeout = tuple(time if math.isfinite(time) else STREAM_LOSS_TIME for time in times)
     lands = [one == "px4" and values.get("COM_OBL_RC_ACT") == 4.0 for one, values in vehicles]
     descent = tuple(limits.silence * limits.descent if one else 0.0 for one in lands)
-    return StreamLossModel(timeout, limits.silence, descent)
+    returns = tuple(one == "ardupilot" for one, _ in vehicles)
+    return StreamLossModel(timeout, limits.silence, descent, returns).shortest
 
 
 def stream_loss_findings(

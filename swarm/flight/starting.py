@@ -4,7 +4,6 @@ import numpy as np
 
 from swarm.certification.stream_loss import (
     StreamLossCertificate,
-    StreamLossModel,
     certify_stream_loss,
 )
 from swarm.flight.clock import MissionClock
@@ -12,7 +11,7 @@ from swarm.flight.detect import Detectors
 from swarm.flight.estimation import Measured
 from swarm.flight.guidance import Guidance
 from swarm.flight.observation import observation_of
-from swarm.flight.parameters import STREAM_LOSS_TIME
+from swarm.flight.parameters import stream_loss_model
 from swarm.flight.preparation import Preparation
 from swarm.flight.recorder import Recorder
 from swarm.flight.router import Team
@@ -61,7 +60,8 @@ def initial_state(setup: Setup, resumption: Resumption) -> FlightState:
 
 def _stream_loss_of(setup: Setup) -> StreamLossCertificate:
     """Return the certified rates of the clock for lost setpoints, from the plan or computed."""
-    model = StreamLossModel((STREAM_LOSS_TIME,), setup.fleet.limits.silence)
+    fleet = setup.fleet
+    model = stream_loss_model([(v.autopilot, {}) for v in fleet.vehicles], fleet.limits)
     certified = setup.flight_plan.stream_loss
     if certified is not None and certified.holds_for(setup.plan, model):
         return certified

@@ -99,9 +99,11 @@ def test_a_plan_without_margin_at_the_slowest_rate_gets_a_warning():
     assert "no margin can be shown" in taut.findings()[0].message
 
 
-def test_the_largest_advance_after_a_loss_contains_those_of_all_moments_and_rates():
+@pytest.mark.parametrize("returns", [False, True])
+def test_the_largest_advance_after_a_loss_contains_those_of_all_moments_and_rates(returns):
+    """At the end of the coasting, and where a vehicle has returned: there the team stands as well."""
     plan = small_plan().plan
-    overrun = StreamLossModel((0.5,), 0.7).overrun(plan)
+    overrun = StreamLossModel((0.5,), 0.7, returns=(returns,)).overrun(plan)
     fold = plan.phase("fold")
     rng = np.random.default_rng(5)
     count = 400
@@ -111,12 +113,15 @@ def test_the_largest_advance_after_a_loss_contains_those_of_all_moments_and_rate
     first, last = np.sort(start[which] + 0.5 * rng.random((2, count)), axis=0)
     time, rate = first + rng.random(count) * (last - first), rng.random(count)
     vehicle = rng.integers(0, plan.vehicles, count)
-    coast = rate * overrun.coast_time[vehicle]
-    stopped = coast + rate * overrun.braking_time
+    coast = rate * overrun.rest_time[vehicle]
+    stopped = rate * overrun.coast_time[vehicle]
+    if not returns:
+        stopped += rate * BRAKING_TIME
     exact = np.maximum(overrun.advance(time, rate), stopped)
-    within = overrun.largest_advance((first, last), vehicle, coast, advances)
+    fastest = np.ones(count)
+    within = overrun.largest_advance((first, last), vehicle, coast, fastest, advances)
     assert (within >= exact - 1e-9).all()
-    at_once = overrun.largest_advance((time, time), vehicle, coast, advances)
+    at_once = overrun.largest_advance((time, time), vehicle, coast, fastest, advances)
     assert at_once == pytest.approx(exact, abs=1e-9), "no slack for a moment"
 
 
@@ -144,27 +149,37 @@ def after_loss(plan, model, vehicle, time, rate, elapsed):
     reached = plan.motion.at(min(time + advance, end))[0].copy()
     position, velocity, _ = plan.motion.at(time)
     timeout = np.broadcast_to(model.timeout, len(position))
+    returns = np.broadcast_to(model.returns, len(position))
+    turning = 0.45 + 0.15 * plan.mission.vehicles.max_speed
     for k in range(len(position)) if vehicle == 0 else [vehicle - 1]:
-        slowing = min(max(elapsed - timeout[k], 0.0), 2.0 * BRAKING_TIME)
-        seconds = min(elapsed, timeout[k]) + slowing - slowing**2 / (4.0 * BRAKING_TIME)
+        braking = turning if returns[k] else BRAKING_TIME
+        slowing = min(max(elapsed - timeout[k], 0.0), 2.0 * braking)
+        seconds = min(elapsed, timeout[k]) + slowing - slowing**2 / (4.0 * braking)
+        if returns[k]:
+            back = max(elapsed - timeout[k] - 2.0 * braking, 0.0)
+            seconds -= braking * (1.0 - np.exp(-2.0 * back))
         reached[k] = position[k] + rate * seconds * velocity[k]
     planned = plan.motion.at(min(time + (rate * elapsed if vehicle == 0 else advance), end))[0]
     return reached, np.linalg.norm(reached - planned, axis=1).max()
 
 
 @pytest.mark.parametrize(
-    ("timeout", "losses"),
+    ("timeout", "returns", "losses"),
     [
-        ((0.5,), 500),
-        ((0.5, 0.2, 0.1) * 3, 500),
-        pytest.param((0.5,), 3000, marks=pytest.mark.full),
-        pytest.param((0.5, 0.2, 0.1) * 3, 3000, marks=pytest.mark.full),
-        pytest.param((0.1,), 3000, marks=pytest.mark.full),
+        ((0.5,), (False,), 500),
+        ((0.5, 0.2, 0.1) * 3, (False,), 500),
+        ((0.5,), (True,), 500),
+        pytest.param((0.5,), (False,), 3000, marks=pytest.mark.full),
+        pytest.param((0.5, 0.2, 0.1) * 3, (False, True, False) * 3, 3000, marks=pytest.mark.full),
+        pytest.param((0.1,), (False,), 3000, marks=pytest.mark.full),
+        pytest.param((0.5,), (True, False, False) * 3, 3000, marks=pytest.mark.full),
     ],
 )
-def test_random_losses_keep_every_certified_margin(overhand, overhand_assessed, timeout, losses):
+def test_random_losses_keep_every_certified_margin(
+    overhand, overhand_assessed, timeout, returns, losses
+):
     """Random losses at random times and rates, also between the certificate's samples."""
-    model, found = StreamLossModel(timeout, 1.0), overhand_assessed.stream_loss
+    model, found = StreamLossModel(timeout, 1.0, returns=returns), overhand_assessed.stream_loss
     if found.model != model:
         found = certify_stream_loss(overhand, model)
     monitor, rng = Monitor(overhand), np.random.default_rng(7)
@@ -178,7 +193,7 @@ def test_random_losses_keep_every_certified_margin(overhand, overhand_assessed, 
             continue
         rate = found.rate_limit(time) * rng.choice([1.0, rng.uniform(0.0, 1.0)])
         vehicle = int(rng.integers(overhand.vehicles + 1))
-        reached, off = after_loss(overhand, model, vehicle, time, rate, rng.uniform(0.0, 4.0))
+        reached, off = after_loss(overhand, model, vehicle, time, rate, rng.uniform(0.0, 6.0))
         if off > ball:
             states.append(reached)
     assert len(states) > 50

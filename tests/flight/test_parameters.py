@@ -168,6 +168,8 @@ def test_how_vehicles_coast_is_read_from_their_parameters():
     assert found.timeout == (0.2, 0.5, 0.3, 0.5)
     assert found.descent == (0.0, limits.silence * limits.descent, 0.0, 0.0)
     assert found.silence == limits.silence
+    assert found.returns == (False, False, True, True)
+    assert stream_loss_model([("px4", {})] * 3, limits) == StreamLossModel(silence=limits.silence)
 
 
 def test_a_team_of_which_some_would_land_and_others_hold_is_refused():
@@ -187,7 +189,7 @@ def test_the_flight_keeps_the_pace_that_the_audited_vehicles_allow():
         flight_plan.plan, StreamLossModel((0.1, 0.5, 0.5), FLEET.limits.silence)
     )
     conductor = Conductor(flight_plan, FLEET)
-    assert conductor.stream_loss.model == StreamLossModel((0.5,), FLEET.limits.silence)
+    assert conductor.stream_loss.model == StreamLossModel(silence=FLEET.limits.silence)
     conductor.state.mode = Mode(Stage.READY)
     conductor.start(go(flight_plan, Audit((1, 2, 3), (), known)))
     assert conductor.stream_loss is known
