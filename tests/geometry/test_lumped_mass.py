@@ -74,6 +74,7 @@ def test_a_folded_strand_swings_as_a_hanging_chain() -> None:
 @settings(deadline=None, max_examples=20)
 @given(span=st.floats(0.2, 6.0), rise=st.floats(-2.0, 2.0), slack=st.floats(0.02, 1.0))
 @example(span=0.25, rise=2.0, slack=0.75)
+@example(span=0.25, rise=2.0, slack=0.875)
 def test_a_strand_at_rest_stays_on_its_catenary(span: float, rise: float, slack: float) -> None:
     length = math.hypot(span, rise) * (1.0 + slack)
     link = length / STILL.links
@@ -82,7 +83,7 @@ def test_a_strand_at_rest_stays_on_its_catenary(span: float, rise: float, slack:
     # a polygon is off by l²/8a of a curve of radius a, and where the curve turns over within a link
     # by half a link at most, since a joint is that far from where it turns
     radius = float(solve_catenaries(ends[0, 0], ends[0, 1], length).parameter)
-    allowed = link * min(0.25, 0.25 * link / radius)
+    allowed = link * min(0.5, 0.125 * link / radius)
     assert stray(joints, ends[::50], np.array([length])).max() < allowed
     if span >= link:
         assert np.abs(joints - joints[0]).max() < 1e-9, "it does not move at all"
