@@ -115,7 +115,7 @@ class Limits(Section):
     hold: float = number(
         60.0, "s", "Hold timeout T, after which the team lands together; autopilots must use the "
         "same time after the loss of the ground station.",
-        # an ArduCopter descends 4 s after its failsafe, and three heartbeats may be lost before it
+        # an ArduCopter descends 4 s after its failsafe, and misses heartbeats for 4 s before it
         least=8.0, most=120.0,
     )  # fmt: skip
     placement: float = number(
