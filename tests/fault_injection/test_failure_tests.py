@@ -88,12 +88,21 @@ def test_every_failure_of_a_team_that_ties_a_knot(overhand, case):
     assert not failed
 
 
-def problems(case, flight_plan=PLAN, cornered=False, can_land=True, **changes):
+def problems(
+    case,
+    flight_plan=PLAN,
+    cornered=False,
+    can_land=True,
+    model=PLAN.assessment.stream_loss.model,
+    **changes,
+):
     """Return the problems of a trial that meets the case's requirements but for ``changes``.
 
     ``cornered``: the team left the plan where it can neither land nor release. ``can_land``: the
-    plan allows to land where the clock stands.
+    plan allows to land where the clock stands, at 50 s (a number: up to this time). ``model``: the
+    vehicles' behaviour without setpoints.
     """
+    until = {True: np.inf, False: 0.0}.get(can_land, can_land)
     passed = FaultTrial(
         50.0, 3, 1.0, "", np.inf, np.inf, 0.5, 0, 0, BY_NAME[case].allowed_ends[0], ()
     )
@@ -101,9 +110,10 @@ def problems(case, flight_plan=PLAN, cornered=False, can_land=True, **changes):
     state = SimpleNamespace(
         contingency=contingency,
         clock=SimpleNamespace(time=50.0),
-        setup=SimpleNamespace(windows=SimpleNamespace(can_land=lambda _: can_land)),
+        setup=SimpleNamespace(windows=SimpleNamespace(can_land=lambda time: time < until)),
     )
-    conductor = SimpleNamespace(state=state)
+    stream_loss = replace(PLAN.assessment.stream_loss, model=model)
+    conductor = SimpleNamespace(state=state, stream_loss=stream_loss)
     flight = SimpleNamespace(flight_plan=flight_plan, conductor=conductor)
     return evaluation.find_problems(flight, BY_NAME[case], replace(passed, **changes))
 
@@ -138,6 +148,15 @@ def test_vehicles_that_land_alone_may_strike_only_where_the_plan_does_not_allow_
     landing["response"] = "hold, landing together"
     assert problems(gap, can_land=False, **landing, rotor_strikes=1) == one
     assert problems("battery low", can_land=False, **alone, rotor_strikes=1)[-1] == one[0]
+
+
+def test_vehicles_without_setpoints_coast_for_as_long_as_their_own_autopilot():
+    alone = {"end": "landed by failsafe", "detected_after": 0.5, "rotor_strikes": 1}
+    slow_third = StreamLossModel(timeout=(0.5, 0.5, 2.0))
+    assert problems("setpoint gap of 10 s, one", can_land=52.0, model=slow_third, **alone) == ()
+    one, last = ("1 rotor strikes",), {"can_land": 52.0, "model": slow_third, "vehicle": 2}
+    assert problems("setpoint gap of 10 s, one", **last, **alone) == one
+    assert problems("killed", **last, **alone) == ()
 
 
 def test_after_a_stream_loss_the_clearances_of_its_certificate_are_required():

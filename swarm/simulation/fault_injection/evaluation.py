@@ -7,9 +7,7 @@ from typing import Final
 import numpy as np
 
 from swarm.certification.monitor import Monitor
-from swarm.certification.stream_loss import BRAKING_TIME
 from swarm.flight.failures import FailureKind
-from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.flight.policy import Response
 from swarm.flight.snapshot import Event
 from swarm.simulation.fault_injection.failure_case import FailureCase
@@ -190,7 +188,7 @@ def find_problems(
     problems += _detection_problem(case, trial)
     strikes = trial.rotor_strikes - trial.fall_strikes
     allowed_strikes = case.allowed_strikes + (case.cannot_follow and _cornered(flight))
-    allowed_strikes += case.lands_alone and _landed_alone_outside_window(flight, trial)
+    allowed_strikes += case.lands_alone and _landed_alone_outside_window(flight, case, trial)
     if strikes > allowed_strikes and not case.loses_vehicle:
         problems.append(f"{strikes} rotor strikes")
     if trial.vehicles_lost > int(case.loses_vehicle):
@@ -228,15 +226,19 @@ def _cornered(flight: SteppedSimulation) -> bool:
     return contingency is not None and contingency.cornered
 
 
-def _landed_alone_outside_window(flight: SteppedSimulation, trial: FaultTrial) -> bool:
+def _landed_alone_outside_window(
+    flight: SteppedSimulation, case: FailureCase, trial: FaultTrial
+) -> bool:
     """Return whether failsafes landed the vehicles where the plan has no window for landing.
 
-    Without setpoints they fly on as certified, and brake: the window may close meanwhile.
+    Without setpoints they coast as certified: the window may close meanwhile.
     """
     alone = trial.end == "landed by failsafe" or FailureKind.LANDING_ALONE.value in trial.response
     state = flight.conductor.state
     lost = state.clock.time
-    stopped = lost + STREAM_LOSS_TIME + BRAKING_TIME
+    coast_time = flight.conductor.stream_loss.model.overrun(flight.flight_plan.plan).coast_time
+    whole_team = case.whole_team or case.station_fault is not None
+    stopped = lost + float(coast_time.max() if whole_team else coast_time[trial.vehicle - 1])
     can_land = state.setup.windows.can_land
     return alone and not all(can_land(time) for time in np.arange(lost, stopped, SAMPLE_INTERVAL))
 
