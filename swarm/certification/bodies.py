@@ -36,14 +36,14 @@ from swarm.certification.strand_pieces import (
     HeldStrand,
     Part,
     Piece,
-    apart_leaning,
+    apart_moving,
     gravity_in,
     held_piece,
     held_strand,
     is_bounded,
     largest_lean,
     largest_movement,
-    no_leaning,
+    no_movement,
     piece_movement,
     point_movement,
     write_unbounded,
@@ -215,19 +215,22 @@ def _write_margin(
     if found.low[b] >= enough:
         return
     moves = piece_movement(cable, piece, normal, along, gravity, largest)
-    kept, east, north, by_size = apart_leaning(
-        gravity, (moves.leaning, no_leaning()), (dot(near, normal), dot(far, normal)), (0.0, 0.0)
+    kept = apart_moving(
+        gravity, (moves, no_movement()), (dot(near, normal), dot(far, normal)), (0.0, 0.0)
     )
-    point, calm, by_tracking = point_movement(cable, piece, gravity, moves)
-    low = kept - _support(body, normal, tip) - piece.bow - moves.piece - shift - swing.most
+    drifts, east, north = kept.drift >= 0.0, kept.east, kept.north
+    point, calm, by_tracking = point_movement(cable, piece, gravity, moves, drifts)
+    low = (
+        kept.distance - _support(body, normal, tip) - piece.bow - kept.by_ends - shift - swing.most
+    )
     high = size(apart) + piece.bow - by_tracking - shift - swing.least
-    in_time, rest = calm - by_tracking + (swing.most - swing.now), 0.0
+    in_time, rest = max(kept.drift, 0.0) + calm - by_tracking + (swing.most - swing.now), 0.0
     k = found.doubts.shape[1] - 1
     if k > 1:
         rest = point - calm
         found.doubts[b, 1], found.doubts[b, 2] = east + 0.5 * rest, north + 0.5 * rest
-    by_tilt = reach - by_size - kept
-    found.doubts[b, 0], found.doubts[b, k] = in_time, high - low - in_time - by_tilt - rest
+    found.doubts[b, 0] = in_time
+    found.doubts[b, k] = high - low - in_time - east - north - rest
     touching = -radius - required
     # Surfaces are never nearer than touching, also where an over-stretched strand is bounded poorly
     found.low[b], found.high[b] = max(low, min(high, touching)), high

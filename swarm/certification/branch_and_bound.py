@@ -138,24 +138,36 @@ def search(
     *,
     relevant: Callable[[Boxes], Flags] | None = None,
     cut: float | None = None,
+    together: int | None = None,
 ) -> None:
     """Evaluate boxes and halve the ``undecided`` ones, until none is left.
 
     ``relevant`` selects the boxes that are evaluated at all (default: all); ``cut`` is the share of
-    the largest uncertainty from which a coordinate is cut.
+    the largest uncertainty from which a coordinate is cut. With ``together``, at most so many
+    boxes are evaluated and halved before the others, those with the smallest values first.
     """
     if cut is None:
         cut = CUT if boxes.middle.shape[1] <= 3 else 1.0
-    while True:
+    pending = [boxes]
+    while pending:
+        boxes = pending.pop()
         if relevant is not None:
             boxes = boxes.taken(relevant(boxes))
         if not len(boxes):
-            return
-        found = _evaluated(evaluate, boxes)
-        boxes = _halved(boxes, found, undecided(boxes, found), cut)
+            continue
+        found = evaluated(evaluate, boxes)
+        where = np.flatnonzero(undecided(boxes, found))
+        if together is None:
+            pending.append(_halved(boxes, found, where, cut))
+            continue
+        where = where[np.argsort(-found.high[where], kind="stable")]
+        boxes = _halved(boxes, found, where, cut)
+        pending += [
+            boxes.taken(slice(begin, begin + together)) for begin in range(0, len(boxes), together)
+        ]
 
 
-def _evaluated(evaluate: Evaluator, boxes: Boxes) -> Enclosure:
+def evaluated(evaluate: Evaluator, boxes: Boxes) -> Enclosure:
     """Enclose values on boxes; the bound of a box holds in its parts, too.
 
     A value that is not a number has the bound −∞, and so has a box whose halves are too narrow to
@@ -186,7 +198,7 @@ def _in_batches(evaluate: Evaluator, boxes: Boxes) -> Enclosure:
     )
 
 
-def _halved(boxes: Boxes, found: Enclosure, where: Flags, cut: float) -> Boxes:
+def _halved(boxes: Boxes, found: Enclosure, where: Ints, cut: float) -> Boxes:
     """Halve some of the boxes in every coordinate with at least ``cut`` of the largest doubt.
 
     The halves of a box follow each other: what they share is computed once for both.

@@ -178,17 +178,29 @@ def families(
     any heading, the same for all segments. The cable swings within the :func:`certified_tube`;
     without ``swinging`` it is quasi-static.
     """
+    return families_of(plan, swinging=swinging)(tracking, tilt)
+
+
+def families_of(plan: Plan, *, swinging: bool = True) -> Callable[..., tuple[Family, ...]]:
+    """Return :func:`families` of a plan, as a function of tracking radius and tilt.
+
+    What both do not change is computed once.
+    """
     tube = certified_tube(plan) if swinging else None
     motion, spans = BoundedMotion(plan.motion), cable_spans(plan)
-    cable = HeldCable(motion, plan.layout.lengths, tracking, tilt, tube)
-    every = (
-        *_strands(plan, cable, spans),
-        *_on_the_floor(plan, cable, spans),
-        *_vehicles(plan, motion, tracking),
-        *_bodies(plan, cable, spans),
-        *_fences(plan, cable, spans),
-    )
-    return tuple(family for family in every if family.spans and family.names)
+
+    def families(tracking: float, tilt: float = 0.0) -> tuple[Family, ...]:
+        cable = HeldCable(motion, plan.layout.lengths, tracking, tilt, tube)
+        every = (
+            *_strands(plan, cable, spans),
+            *_on_the_floor(plan, cable, spans),
+            *_vehicles(plan, motion, tracking),
+            *_bodies(plan, cable, spans),
+            *_fences(plan, cable, spans),
+        )
+        return tuple(family for family in every if family.spans and family.names)
+
+    return families
 
 
 def certified_tube(plan: Plan) -> TubeRadii | None:

@@ -5,14 +5,14 @@ and, for margins of strands, the fractions between which a piece of each strand 
 box is the number of its pair.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.branch_and_bound import Boxes, Enclosure, Evaluator, search
+from swarm.certification.branch_and_bound import Boxes, Enclosure, Evaluator, evaluated, search
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -25,6 +25,10 @@ position is known to."""
 
 MOMENTS = 5
 """Number of tightest pairs with exact margins; as many as a report lists."""
+
+_TOGETHER = 1024
+"""Boxes that are halved together in the search for a largest value: so few that it soon falls, so
+many that calls take little of the time."""
 
 _CLEARLY_POSITIVE = 0.05
 """Margins above this share of the tolerance are shown not to be negative."""
@@ -161,9 +165,7 @@ def failing(
         count += len(boxes)
         counted[boxes.group[found.low < np.inf]] = True
         negative = found.low < 0.0
-        narrow = reduce(np.add, found.doubts.T) < 0.5 * tolerance
-        given_up = _exhausted(boxes, found) | narrow | (count >= most)
-        lost = (found.high < 0.0) | (negative & given_up)
+        lost = _lost(boxes, found, tolerance) | (negative & (count >= most))
         if lost.any():
             worst = int(np.argmin(np.where(lost, found.high, np.inf)))
             failed = int(boxes.group[worst]), float(boxes.middle[worst, 0])
@@ -175,6 +177,76 @@ def failing(
     if failed is None and len(unseen):
         return int(boxes.group[unseen[0]]), float(boxes.middle[unseen[0], 0])
     return failed
+
+
+def most_steps(
+    at: Callable[[int], Evaluator],
+    steps: int,
+    boxes: Boxes,
+    initial: int = 0,
+    tolerance: float = TOLERANCE,
+    guess: int | None = None,
+) -> int:
+    """Return the largest number of steps, of at most ``steps``, for which no margin is negative.
+
+    ``at`` returns the evaluator for a number from 1 on. The boxes contain the cases of all smaller
+    numbers, so what a number shows of a box holds for those, too, and is not searched again: where
+    a margin is not kept, the number falls, and the search goes on with what is left. Returns 0, for
+    which nothing is searched, where no other number is left. ``initial`` and ``tolerance`` as for
+    :func:`failing`. With ``guess``, the search ends after that number of boxes.
+    """
+    count, lower, most = 0, 1, _most(boxes, initial)
+    enough = most // 2
+    counted = np.zeros(int(boxes.group.max(initial=-1)) + 1, dtype=bool)
+
+    def relevant(boxes: Boxes) -> Flags:
+        return np.full(len(boxes), steps > 0 and (guess is None or count < guess))
+
+    def undecided(boxes: Boxes, found: Enclosure) -> Flags:
+        nonlocal count, enough, lower, steps
+        count += len(boxes)
+        counted[boxes.group[found.low < np.inf]] = True
+        lost = _lost(boxes, found, tolerance)
+        if lost.any():
+            steps = _fewer(at, steps, boxes.taken(lost), tolerance)
+        elif count >= enough:
+            # Margins that are kept may take too many boxes to show.
+            enough, steps, lower = count + most // 8, max(steps - lower, 0), 4 * lower
+        negative: Flags = found.low < 0.0
+        return negative
+
+    def evaluate(boxes: Boxes) -> Enclosure:
+        return at(steps)(boxes)
+
+    search(
+        evaluate, replace(boxes, enough=0.0), undecided,
+        relevant=relevant, together=_TOGETHER,
+    )  # fmt: skip
+    return steps if counted[boxes.group].all() else 0
+
+
+def _fewer(at: Callable[[int], Evaluator], steps: int, boxes: Boxes, tolerance: float) -> int:
+    """Return the largest number below ``steps`` for which none of the boxes is lost."""
+
+    def kept(steps: int) -> bool:
+        return steps <= 0 or not _lost(boxes, evaluated(at(steps), boxes), tolerance).any()
+
+    less = 1
+    while not kept(steps - less):
+        less *= 2
+    # Those from the first to before the second are in question.
+    first, second = max(steps - less, 0), steps - less // 2
+    while second - first > 1:
+        middle = (first + second) // 2
+        first, second = (middle, second) if kept(middle) else (first, middle)
+    return first
+
+
+def _lost(boxes: Boxes, found: Enclosure, tolerance: float) -> Flags:
+    """Boxes with a negative margin, or with a doubtful one that is not looked at more closely."""
+    narrow = reduce(np.add, found.doubts.T) < 0.5 * tolerance
+    lost: Flags = (found.high < 0.0) | ((found.low < 0.0) & (_exhausted(boxes, found) | narrow))
+    return lost
 
 
 def _most(boxes: Boxes, initial: int) -> int:

@@ -5,7 +5,8 @@ radius, multiplied by the sensitivity of the strand. It is counted in a frame th
 team, since motion that all share changes no distance.
 
 In wind the effective gravity leans, and with it all strands. A point moves by the first order,
-which is exact and may cancel between two strands, and a bounded remainder.
+which is exact and may cancel between two strands, and a bounded remainder. There are more
+coordinates then, so the movement in time is counted in the same way, too.
 """
 
 import math
@@ -39,9 +40,9 @@ from swarm.geometry.linear_response import (
     response_to,
 )
 from swarm.geometry.sensitivity import (
-    BOTH_ENDS,
     FAR_END,
     LARGEST_RATIO,
+    NEAR_END,
     EndMovement,
     Sensitivity,
     elevation_class,
@@ -55,10 +56,6 @@ from swarm.jit import inner
 from swarm.signatures import Floats1, Floats3, contiguous
 
 Floats = npt.NDArray[np.float64]
-
-
-TILTS = ((-1.0, 1.0), (-1.0, 1.0))
-"""Intervals of both parts of a tilt, in units of the largest one."""
 
 
 class CableTables(NamedTuple):
@@ -92,7 +89,7 @@ class HeldCable:
     @property
     def tilts(self) -> Intervals:
         """Intervals of both parts of the tilt, east and north; none in still air."""
-        return TILTS if self.tilt > 0.0 else ()
+        return ((-self.tilt, self.tilt),) * 2 if self.tilt > 0.0 else ()
 
     @cached_property
     def tables(self) -> CableTables:
@@ -136,22 +133,22 @@ def gravity_in(cable: CableTables, middle: Floats, half: Floats) -> Gravity:
     south, north = middle[2] - half[2], middle[2] + half[2]
     aside, ahead = max(west, -east, 0.0), max(south, -north, 0.0)
     least = aside * aside + ahead * ahead
-    if least >= 1.0:
+    square = cable.tilt * cable.tilt
+    if least >= square:
         return Gravity((0.0, 0.0, -1.0), -1.0, 0.0, 0.0)
-    reach, reach_ahead = math.sqrt(1.0 - ahead * ahead), math.sqrt(1.0 - aside * aside)
+    reach, reach_ahead = math.sqrt(square - ahead * ahead), math.sqrt(square - aside * aside)
     west, east = max(west, -reach), min(east, reach)
     south, north = max(south, -reach_ahead), min(north, reach_ahead)
     x, y = 0.5 * (west + east), 0.5 * (south + north)
-    outside = max(math.hypot(x, y), 1.0)
+    outside = max(math.hypot(x, y) / cable.tilt, 1.0)
     x, y = x / outside, y / outside
     # A hair wider than the disc, for the rounding of its border.
-    wide = cable.tilt * (max(east - x, x - west) + 1e-12)
-    deep = cable.tilt * (max(north - y, y - south) + 1e-12)
-    shortest = math.sqrt(1.0 + cable.tilt * cable.tilt * least)
+    hair = 1e-12 * cable.tilt
+    wide, deep = max(east - x, x - west) + hair, max(north - y, y - south) + hair
+    shortest = math.sqrt(1.0 + least)
     # The disc ends before the corners of its box.
-    change = min(math.hypot(wide, deep), cable.tilt * (math.hypot(x, y) + 1.0 + 1e-12))
+    change = min(math.hypot(wide, deep), math.hypot(x, y) + cable.tilt + hair)
     sine = change / shortest
-    x, y = cable.tilt * x, cable.tilt * y
     length = math.sqrt(1.0 + x * x + y * y)
     down = x / length, y / length, -1.0 / length
     if sine >= 1.0:
@@ -213,10 +210,13 @@ class _EndMotion(NamedTuple):
     ``total`` within interval and tracking radius, ``tracking`` within the tracking radius alone;
     ``longer`` and ``longer_tracking`` of the ends relative to each other, and ``relative`` with
     their turn in other gravities, which leaves the chord as long as it is. ``ends`` tells which
-    ends move.
+    ends move. ``drifts`` is how far start and end move with their velocities at the middle instant,
+    in half of the interval, and ``beside`` bounds their movement beside that.
     """
 
     ends: int
+    drifts: tuple[Vector, Vector]
+    beside: float
     total: float
     tracking: float
     longer: float
@@ -255,7 +255,8 @@ class Movement(NamedTuple):
 
     ``piece`` by its ends; ``linear`` that of one point by its linear response, with ``at_point`` in
     first order and ``bent`` beyond it. The point is at a ``fraction`` of the strand, and ``up`` is
-    the part of the normal against the gravity. ``leaning`` is the movement by other gravities.
+    the part of the normal against the gravity. ``drifting`` is another bound of that by the ends,
+    and ``leaning`` the movement by other gravities; both only of several gravities.
     """
 
     piece: float
@@ -264,7 +265,23 @@ class Movement(NamedTuple):
     bent: float
     fraction: float
     up: float
+    drifting: "Drifting"
     leaning: "Leaning"
+
+
+class Drifting(NamedTuple):
+    """The movement of a piece along a normal while its ends move with their velocities.
+
+    In first order, in half of the interval: of the point and of both ends of the piece. It may
+    cancel with that of another strand; between the ends it is linear. ``beside`` bounds all other
+    movement of the piece by its ends, and ``beyond`` what the point's drift is beyond first order.
+    """
+
+    at_point: float
+    at_begin: float
+    at_end: float
+    beside: float
+    beyond: float
 
 
 class Leaning(NamedTuple):
@@ -355,12 +372,6 @@ def held_piece(cable: CableTables, held: HeldStrand, instant: Instant, part: Par
 
 
 @inner
-def _drift(grip: Grip, half: float, frame: Vector) -> float:
-    """Bound the movement of a grip point within ``half`` seconds, in a frame with a velocity."""
-    return size(difference(grip.velocity, frame)) * half + grip.deviation
-
-
-@inner
 def _end_motion(
     grips: tuple[Grip, Grip],
     half: float,
@@ -371,17 +382,24 @@ def _end_motion(
 
     ``by`` is that relative to each other by tracking errors and by a turn, metres.
     """
-    ball, turned = by
-    first, last = grips
+    (ball, turned), (first, last) = by, grips
     ends, frame = displacement.ends, displacement.frame
-    if ends == BOTH_ENDS:
-        drifted = max(_drift(first, half, frame), _drift(last, half, frame))
-    else:
-        drifted = _drift(last if ends == FAR_END else first, half, frame)
+    velocities = difference(first.velocity, frame), difference(last.velocity, frame)
+    total = beside = 0.0
+    if ends != FAR_END:
+        total, beside = size(velocities[0]) * half + first.deviation, first.deviation
+    if ends != NEAR_END:
+        total = max(total, size(velocities[1]) * half + last.deviation)
+        beside = max(beside, last.deviation)
     apart = size(difference(last.velocity, first.velocity))
     longer = apart * half + first.deviation + last.deviation + ball
-    total = drifted + displacement.deviation + displacement.tracking
-    return _EndMotion(ends, total, displacement.tracking, longer, ball, longer + turned)
+    return _EndMotion(
+        ends,
+        (times(half, velocities[0]), times(half, velocities[1])),
+        beside + displacement.deviation + displacement.tracking,
+        total + displacement.deviation + displacement.tracking,
+        displacement.tracking, longer, ball, longer + turned,
+    )  # fmt: skip
 
 
 @inner
@@ -398,6 +416,9 @@ def piece_movement(
     ``along`` is the fraction of the chord at which the point of the first order lies. Movement by
     the ends is the smaller of two: by the sensitivity of all shapes, ``largest``, and by the
     strand's own linear response, which changes with the gravity. So is that by the gravity.
+
+    In several gravities, that by the ends has a second bound: of the ends' drift, which is exact in
+    first order, and then of their movement beside it, by either of the two.
     """
     strand, motion, part = piece.strand.catenary, piece.end_motion, (piece.begin, piece.end)
     longer, total = motion.longer, motion.total
@@ -411,13 +432,13 @@ def piece_movement(
     moving = EndMovement(motion.ends, total, motion.relative, longer)
     bent = curvature(strand, part, moving, cable.curvature)
     of_piece, linear = largest, np.inf
+    drifting, leaning = Drifting(0.0, 0.0, 0.0, np.inf, np.inf), no_leaning()
+    at_ends = max(response_to(begin, motion.ends), response_to(end, motion.ends), at_point)
     if np.isfinite(at_point + bent):
         linear = movement(at_point, bent, total, longer)
         if gravity.angle > 0.0:
             linear += gravity.angle * _response_per_angle(piece) * longer
-        at_ends = max(response_to(begin, motion.ends), response_to(end, motion.ends))
-        of_piece = min(of_piece, linear + max(at_ends - at_point, 0.0) * total + bowed * longer)
-    leaning = no_leaning()
+        of_piece = min(of_piece, linear + (at_ends - at_point) * total + bowed * longer)
     if gravity.angle > 0.0:
         most = largest_lean(piece, gravity)
         leaning = Leaning(most, np.inf, np.inf, leaning.moment, leaning.moment, leaning.moment)
@@ -431,7 +452,31 @@ def piece_movement(
                 _moment(piece.strand, normal, begin, part[0]),
                 _moment(piece.strand, normal, end, part[1]),
             )
-    return Movement(of_piece, linear, at_point, bent, fraction, up, leaning)
+            relative, grown = _drift_of_chord(piece)
+            moving = EndMovement(motion.ends, total, relative + motion.relative - longer, grown)
+            beyond = curvature(strand, part, moving, cable.curvature)
+            if beyond < np.inf:
+                beyond = movement(0.0, beyond, 0.0, relative)
+                beyond += gravity.angle * _response_per_angle(piece) * relative
+            after = motion.beside, longer - relative, grown
+            beside = _of_all_shapes(cable, piece, up, piece.number, after, gravity)
+            beside += beyond + bowed * relative
+            by_response = linear - at_point * total + at_ends * motion.beside + bowed * longer
+            drifting = Drifting(
+                _drift_along(piece, normal, response),
+                _drift_along(piece, normal, begin),
+                _drift_along(piece, normal, end),
+                min(beside, by_response),
+                beyond,
+            )
+    return Movement(of_piece, linear, at_point, bent, fraction, up, drifting, leaning)
+
+
+@inner
+def no_movement() -> Movement:
+    """Return the movement of what rests."""
+    no = Drifting(0.0, 0.0, 0.0, 0.0, 0.0)
+    return Movement(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, no, no_leaning())
 
 
 @inner
@@ -442,69 +487,116 @@ def no_leaning() -> Leaning:
 
 
 @inner
+def _drift_of_chord(piece: Piece) -> tuple[float, float]:
+    """Return how far the ends drift relative to each other, and how much that adds to the chord.
+
+    With the chord c and the drift Δ, |c + Δ| ≤ |c| + (c·Δ + ½Δ²) / |c|.
+    """
+    strand, drifts = piece.strand, piece.end_motion.drifts
+    drift, span, rise = difference(drifts[1], drifts[0]), strand.catenary.span, strand.catenary.rise
+    along = abs(span * dot(drift, strand.heading) - rise * dot(drift, strand.down))
+    relative, chord = size(drift), math.hypot(span, rise)
+    return relative, min(relative, (along + 0.5 * relative * relative) / max(chord, 1e-9))
+
+
+@inner
 def point_movement(
-    cable: CableTables, piece: Piece, gravity: Gravity, moves: Movement
+    cable: CableTables, piece: Piece, gravity: Gravity, moves: Movement, drifts: bool
 ) -> tuple[float, float, float]:
     """Return bounds of the movement of the single point by the ends, which tell what to divide.
 
-    In all gravities of the box, in the one alone, and there by tracking errors alone.
+    In all gravities of the box, in the one alone, and there by tracking errors alone. Where it
+    ``drifts``, the first two are those beside the first order of its drift.
     """
     strand, motion, part = piece.strand.catenary, piece.end_motion, (piece.begin, piece.end)
     longer, total, ball = motion.longer, motion.total, motion.longer_tracking
     still, finest = Gravity(gravity.down, 0.0, 0.0, 0.0), finest_piece(piece.number, moves.fraction)
     up, at_point, bent = moves.up, moves.at_point, moves.bent
-    calm = _of_all_shapes(cable, piece, up, finest, (total, longer), still)
-    by_tracking = _of_all_shapes(cable, piece, up, finest, (motion.tracking, ball), still)
+    by, beyond, after = total, 0.0, (total, longer, 0.0)
+    if drifts:
+        relative, grown = _drift_of_chord(piece)
+        by, beyond = motion.beside, moves.drifting.beyond
+        after = by, longer - relative, grown
+    calm = beyond + _of_all_shapes(cable, piece, up, finest, after, still)
+    by_tracking = _of_all_shapes(cable, piece, up, finest, (motion.tracking, ball, 0.0), still)
     if gravity.angle > 0.0:
         moving = EndMovement(motion.ends, total, longer, longer)
         bent = curvature(strand, part, moving, cable.curvature)
     if np.isfinite(at_point + bent):
-        calm = min(calm, movement(at_point, bent, total, longer))
+        calm = min(calm, movement(at_point, bent, by, longer))
         by_tracking = min(by_tracking, movement(at_point, bent, motion.tracking, ball))
     if gravity.angle == 0.0:
         return calm, calm, by_tracking
-    point = _of_all_shapes(cable, piece, up, finest, (total, longer), gravity)
-    point = min(point, moves.linear)
+    point = beyond + _of_all_shapes(cable, piece, up, finest, after, gravity)
+    if moves.linear < np.inf:
+        point = min(point, moves.linear - at_point * (total - by))
     # More than the angle can cause is due to time: ends that move little stay in their tables.
-    most = 2.0 * gravity.angle * (total + _response_per_angle(piece) * longer)
+    most = 2.0 * gravity.angle * (by + _response_per_angle(piece) * longer)
     return point, max(calm, point - most), by_tracking
 
 
+class Apart(NamedTuple):
+    """Distance of two pieces along a normal, but for their bows, less what their ends move them.
+
+    ``distance`` counts tilts and, where they count, drifts; all other movement ``by_ends`` has to
+    be subtracted. Parts by which it is less than that of the chords: by the ``drift``, −1 where the
+    movement by the ends counts as a whole, both parts of the tilt, and the ``size`` of the pieces.
+    """
+
+    distance: float
+    by_ends: float
+    drift: float
+    east: float
+    north: float
+    size: float
+
+
 @inner
-def apart_leaning(
+def apart_moving(
     gravity: Gravity,
-    pieces: tuple[Leaning, Leaning],
+    pieces: tuple[Movement, Movement],
     ends: tuple[float, float],
     other_ends: tuple[float, float],
-) -> tuple[float, float, float, float]:
-    """Return how far two pieces that lean are apart along a normal at least, but for their bows.
+) -> Apart:
+    """Return how far two pieces that move and lean are apart along a normal at least.
 
-    ``ends`` and ``other_ends`` are the places along it of both ends of each chord. Place and lean
-    of a point are nearly linear between the ends of its piece, so their sum is least at ends.
-
-    Returns the distance, the parts by which it is less than that of the chords by both parts of the
-    tilt, and the part by the size of the pieces.
+    ``ends`` and ``other_ends`` are the places along it of both ends of each chord. Place, drift and
+    lean of a point are nearly linear between the ends of its piece, so their sum is least at ends.
     """
-    one, other = pieces
+    (moves, other_moves), whole = pieces, gravity.east + gravity.north
+    (drifts, other_drifts), (one, other) = (
+        (moves.drifting, other_moves.drifting), (moves.leaning, other_moves.leaning),
+    )  # fmt: skip
     chords = min(ends[0], ends[1]) - max(other_ends[0], other_ends[1])
-    most, beyond = one.most + other.most, one.beyond + other.beyond
-    east, north = _leaned(gravity, difference(one.moment, other.moment))
-    apart, whole = chords - most, gravity.east + gravity.north
+    by_ends, most = moves.piece + other_moves.piece, one.most + other.most
+    beyond = one.beyond + other.beyond
     if not beyond < np.inf or whole == 0.0:
         share = gravity.east / whole if whole > 0.0 else 0.0
-        return apart, most * share, most * (1.0 - share), 0.0
-    nearest = np.inf
+        return Apart(chords - most, by_ends, -1.0, most * share, most * (1.0 - share), 0.0)
+    leaning = drifting = both = np.inf
     for k in range(2):
         moment = one.at_begin if k == 0 else one.at_end
+        here = drifts.at_begin if k == 0 else drifts.at_end
         for m in range(2):
             opposed = other.at_begin if m == 0 else other.at_end
+            along = abs(here - (other_drifts.at_begin if m == 0 else other_drifts.at_end))
             by_east, by_north = _leaned(gravity, difference(moment, opposed))
-            nearest = min(nearest, ends[k] - other_ends[m] - by_east - by_north)
-    apart = max(apart, nearest - beyond - one.bowed - other.bowed)
-    by_tilt = min(east + north + beyond, most)
-    share = by_tilt / max(east + north + beyond, 1e-300)
-    east, north = east + beyond * gravity.east / whole, north + beyond * gravity.north / whole
-    return apart, share * east, share * north, max(chords - by_tilt - apart, 0.0)
+            leaning = min(leaning, ends[k] - other_ends[m] - by_east - by_north)
+            drifting = min(drifting, ends[k] - other_ends[m] - along)
+            both = min(both, ends[k] - other_ends[m] - by_east - by_north - along)
+    bowed, drift = beyond + one.bowed + other.bowed, -1.0
+    leans, distance = leaning - bowed > chords - most, max(chords - most, leaning - bowed)
+    beside, drifted = drifts.beside + other_drifts.beside, max(drifting - most, both - bowed)
+    if drifted - beside > distance - by_ends:
+        leans, distance, by_ends = both - bowed > drifting - most, drifted, beside
+        drift = abs(drifts.at_point - other_drifts.at_point)
+    east, north = _leaned(gravity, difference(one.moment, other.moment))
+    by_tilt = east + north + beyond
+    share = 1.0 if leans or by_tilt <= most else most / by_tilt
+    east = share * (east + beyond * gravity.east / whole)
+    north = share * (north + beyond * gravity.north / whole)
+    by_size = max(chords - east - north - max(drift, 0.0) - distance, 0.0)
+    return Apart(distance, by_ends, drift, east, north, by_size)
 
 
 @inner
@@ -575,12 +667,26 @@ def _moment(strand: Strand, normal: Vector, response: PointResponse, fraction: f
     The strand turns, and its ends p and q turn back: with B the derivative of x by q, and the chord
     v = q − p, g = (x − p) × n − v × Bᵀn.
     """
-    level, up, share = dot(normal, strand.heading), -dot(normal, strand.down), response.share
-    by_end = moved(times(share, normal), response.ahead - share * level, strand.heading)
-    by_end = moved(by_end, share * up - response.up, strand.down)
+    by_end = _transposed(strand, normal, response)
     chord = moved(times(-strand.catenary.rise, strand.down), strand.catenary.span, strand.heading)
     along = difference(strand_point(strand, fraction), strand.start)
     return difference(cross(along, normal), cross(chord, by_end))
+
+
+@inner
+def _transposed(strand: Strand, normal: Vector, response: PointResponse) -> Vector:
+    """Return Bᵀn: a point moves along a normal n by its product with the movement of the end."""
+    level, up, share = dot(normal, strand.heading), -dot(normal, strand.down), response.share
+    by_end = moved(times(share, normal), response.ahead - share * level, strand.heading)
+    return moved(by_end, share * up - response.up, strand.down)
+
+
+@inner
+def _drift_along(piece: Piece, normal: Vector, response: PointResponse) -> float:
+    """Return how far a point moves along a normal, in first order, while both ends drift."""
+    start, end = piece.end_motion.drifts
+    by_end = _transposed(piece.strand, normal, response)
+    return dot(normal, start) + dot(by_end, difference(end, start))
 
 
 @inner
@@ -590,7 +696,7 @@ def largest_movement(cable: CableTables, piece: Piece, normal: Vector, gravity: 
     It is not below that of :func:`piece_movement`, and takes a fraction of its time.
     """
     motion, up = piece.end_motion, -dot(normal, piece.strand.down)
-    moved_by = motion.total, motion.longer
+    moved_by = motion.total, motion.longer, 0.0
     return _of_all_shapes(cable, piece, up, piece.number, moved_by, gravity)
 
 
@@ -616,14 +722,14 @@ def kept_from_plane(
     largest, swing = largest_movement(cable, piece, normal, gravity), piece.swing
     moves = piece_movement(cable, piece, normal, here, gravity, largest)
     near, far = dot(piece.near, normal), dot(piece.far, normal)
-    apart, east, north, along = apart_leaning(
-        gravity, (moves.leaning, no_leaning()), (near, far), (0.0, 0.0)
-    )
-    point, calm, by_tracking = point_movement(cable, piece, gravity, moves)
-    low = apart - piece.bow - moves.piece - swing.most
+    apart = apart_moving(gravity, (moves, no_movement()), (near, far), (0.0, 0.0))
+    drifts, east, north = apart.drift >= 0.0, apart.east, apart.north
+    point, calm, by_tracking = point_movement(cable, piece, gravity, moves, drifts)
+    low = apart.distance - piece.bow - apart.by_ends - swing.most
     high = near + here * (far - near) + piece.bow - by_tracking - swing.least
-    in_time, rest = calm - by_tracking + (swing.most - swing.now), point - calm
-    size = max(high - low - in_time - (min(near, far) - along - apart) - rest, 0.0)
+    in_time = max(apart.drift, 0.0) + calm - by_tracking + (swing.most - swing.now)
+    rest = point - calm
+    size = max(high - low - in_time - east - north - rest, 0.0)
     return low, high, (in_time, east + 0.5 * rest, north + 0.5 * rest, size)
 
 
@@ -633,21 +739,21 @@ def _of_all_shapes(
     piece: Piece,
     up: float,
     number: int,
-    moved_by: tuple[float, float],
+    moved_by: tuple[float, float, float],
     gravity: Gravity,
 ) -> float:
     """Return a bound of the movement of the piece with a heap number, within the given piece.
 
-    The ends move by a size, and their chord grows by another; ``up`` is the part of a unit vector
-    against the effective gravity.
+    The ends move by a size, their chord grows by another, and has grown by a third before; ``up``
+    is the part of a unit vector against the effective gravity.
     """
-    (by, longer), strand, motion = moved_by, piece.strand.catenary, piece.end_motion
+    (by, longer, grown), strand, motion = moved_by, piece.strand.catenary, piece.end_motion
     chord = math.hypot(strand.span, strand.rise)
     turned = motion.longer + gravity.angle * chord
     steep, ratio = max_elevation_sine(strand.rise, strand.span, turned), chord / strand.length
     level, rising = movement_bound(
         cable.sensitivity, elevation_class(steep), piece.end_motion.ends, number,
-        ratio_range(ratio, longer / strand.length),
+        ratio_range(ratio + grown / strand.length, longer / strand.length),
     )  # fmt: skip
     upright = min(abs(up), 1.0)
     across = min(math.sqrt(1.0 - upright * upright) + gravity.angle, 1.0)

@@ -29,7 +29,7 @@ from swarm.certification.strand_pieces import (
     HeldStrand,
     Part,
     Piece,
-    apart_leaning,
+    apart_moving,
     counted,
     gravity_in,
     held_piece,
@@ -199,31 +199,35 @@ def _write_margin(
         return
     moves = piece_movement(cable, one, normal, here, gravity, largest)
     moves_other = piece_movement(cable, other, normal, there, gravity, largest_other)
-    leanings = moves.leaning, moves_other.leaning
-    apart, east, north, by_size = apart_leaning(gravity, leanings, ends, other_ends)
-    most = moves.piece + moves_other.piece + swing.most + swing_other.most
-    found.low[b] = apart - bows - most - required
+    apart = apart_moving(gravity, (moves, moves_other), ends, other_ends)
+    most = apart.by_ends + swing.most + swing_other.most
+    found.low[b] = apart.distance - bows - most - required
     if found.low[b] >= enough:
         return
-    point, calm, by_tracking = point_movement(cable, one, gravity, moves)
-    other_point, other_calm, other_by_tracking = point_movement(cable, other, gravity, moves_other)
+    drifts, size, other_size = apart.drift >= 0.0, moves.piece, moves_other.piece
+    if drifts:
+        size, other_size = moves.drifting.beside, moves_other.drifting.beside
+    point, calm, by_tracking = point_movement(cable, one, gravity, moves, drifts)
+    other_point, other_calm, other_by_tracking = point_movement(
+        cable, other, gravity, moves_other, drifts
+    )
     least = by_tracking + other_by_tracking + swing.least + swing_other.least
     found.high[b] = np.sqrt(square) + bows - least - required
-    in_time = calm - by_tracking + other_calm - other_by_tracking
+    in_time = max(apart.drift, 0.0) + calm - by_tracking + other_calm - other_by_tracking
     found.doubts[b, 0] = in_time + (swing.most - swing.now) + (swing_other.most - swing_other.now)
     k = found.doubts.shape[1] - 2
     if k > 1:
         rest = point - calm + other_point - other_calm
-        found.doubts[b, 1], found.doubts[b, 2] = east + 0.5 * rest, north + 0.5 * rest
-    found.doubts[b, k] = 2.0 * one.bow + moves.piece - point + (swing.now - swing.least)
+        found.doubts[b, 1], found.doubts[b, 2] = apart.east + 0.5 * rest, apart.north + 0.5 * rest
+    found.doubts[b, k] = 2.0 * one.bow + size - point + (swing.now - swing.least)
     found.doubts[b, k + 1] = (
-        2.0 * other.bow + moves_other.piece - other_point
+        2.0 * other.bow + other_size - other_point
         + (swing_other.now - swing_other.least)
     )  # fmt: skip
     length, other_length = one.end - one.begin, other.end - other.begin
     length *= one.strand.catenary.length
     other_length *= other.strand.catenary.length
-    found.doubts[b, k] += by_size * length / (length + other_length)
-    found.doubts[b, k + 1] += by_size * other_length / (length + other_length)
+    found.doubts[b, k] += apart.size * length / (length + other_length)
+    found.doubts[b, k + 1] += apart.size * other_length / (length + other_length)
     for axis in range(3):
         found.place[b, axis] = 0.5 * (at_one[axis] + at_other[axis])

@@ -2,12 +2,15 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from swarm.certification.branch_and_bound import Enclosure
 from swarm.certification.minima import (
     MOST_BOXES,
     TOLERANCE,
     failing,
+    most_steps,
     roots,
     smallest,
     smallest_in_boxes,
@@ -136,3 +139,53 @@ def test_a_missing_margin_is_never_cleared(low, high, doubt):
     assert failing(evaluate, begun) is not None
     short = smallest_in_boxes(evaluate, begun).low < 0.0
     assert short.tolist() == [True] * 4 + [False] * 4
+
+
+STEP = 0.01
+
+
+def falling(functions, seen):
+    """Evaluators of functions of time that fall by a step each, and count their boxes."""
+
+    def at(steps):
+        assert steps > 0
+        evaluate = margins(*(lambda t, f=f: f(t) - steps * STEP for f in functions))
+
+        def counted(boxes):
+            seen.append(len(boxes))
+            return evaluate(boxes)
+
+        return counted
+
+    return at
+
+
+@given(st.lists(st.tuples(st.floats(-0.05, 1.2), st.floats(0.0, 4.0)), min_size=1, max_size=4))
+def test_the_most_steps_are_those_of_the_smallest_margin(dips):
+    """To the tolerance, whatever margins the steps before were lost at."""
+    functions = [lambda t, low=low, at=at: low + abs(t - at) for low, at in dips]
+    least = min(low for low, _ in dips)
+    seen = []
+    most = most_steps(falling(functions, seen), 100, roots(len(dips), SPAN, 1.0))
+    assert most == 0 or least - most * STEP >= 0.0
+    assert most + 1 >= min((least - TOLERANCE) / STEP, 100)
+    assert sum(seen) < 2000
+
+
+def test_a_search_that_does_not_converge_shows_no_steps():
+    counted = []
+
+    def at(_steps):
+        def evaluate(boxes):
+            counted.append(len(boxes))
+            return enclosing(-0.5, 1.0, 1.0)(boxes)
+
+        return evaluate
+
+    assert most_steps(at, 10**4, roots(1, SPAN, 1.0)) == 0
+    assert sum(counted) < 3 * MOST_BOXES
+
+
+def test_a_missing_margin_shows_no_steps():
+    assert most_steps(lambda _: enclosing(np.inf, np.inf, 0.0), 9, roots(2, SPAN, 1.0)) == 0
+    assert most_steps(lambda _: enclosing(np.nan, 1.0, 1.0), 9, roots(2, SPAN, 1.0)) == 0

@@ -72,34 +72,70 @@ def test_in_no_wind_up_to_the_certified_one_strands_come_nearer_than_required():
     assert failure_in_wind(plan, 0.3 * most) is None
 
 
-@pytest.mark.parametrize("speed", [1.5, 4.0])
-def test_a_wind_of_one_direction_leans_no_strand_beyond_the_bounds(speed):
-    """Distances of single boxes of tilts are lower bounds, and close to those in one gravity."""
-    plan, rng = uneven(), np.random.default_rng(7)
-    tilt = wind_tilt(plan, speed)
-    windy = families(plan, plan.mission.vehicles.tracking, tilt)
-    family = next(one for one in windy if one.check == "cable clearance")
+MOVED = [
+    [-2.0, 0.5, 13.6], [2.9, 0.4, 14.3], [3.6, 0.2, 12.3], [-3.3, -0.2, 11.9],
+]  # fmt: skip
+
+
+def body_points(vehicles):
+    """Points (k, 3) of a vehicle's cone: its tip, its rim, and between them."""
+    angle, share = np.linspace(0.0, 2.0 * np.pi, 24), np.linspace(0.0, 1.0, 6)[:, None]
+    rim = vehicles.radius * np.stack([np.cos(angle), np.sin(angle)])
+    disc, side = share * rim[:, None], vehicles.grip_offset * (share + 0.0 * angle)
+    top = np.stack([*disc, np.full(side.shape, vehicles.grip_offset)], axis=-1)
+    return np.concatenate([top, np.stack([*disc, side], axis=-1)]).reshape(-1, 3)
+
+
+@pytest.mark.parametrize(("speed", "error"), [(1.5, 0.0), (4.0, 0.1)])
+@pytest.mark.parametrize(
+    "check", ["cable clearance", "neighbouring segments", "vehicle-cable clearance", "floor"]
+)
+def test_in_no_case_within_a_box_is_a_margin_below_its_bound(check, speed, error):
+    """Boxes of times, tilts and pieces, of a team that moves by up to 1 m/s."""
+    plan, rng = (
+        plan_of(moving([0.0, 2.0], [UNEVEN, MOVED]), UNEVEN_LENGTHS),
+        np.random.default_rng(7),
+    )
+    tilt, clearance, radius = (
+        wind_tilt(plan, speed),
+        plan.mission.clearance,
+        0.5 * plan.mission.cable.diameter,
+    )
+    family = next(each for each in families(plan, error, tilt) if each.check == check)
     boxes = family.roots()
-    boxes = boxes.taken(np.zeros(200, dtype=np.intp))
-    boxes.half[:, 1:3] = 0.5 ** rng.integers(1, 6, (200, 1))
-    boxes.middle[:, 1:3] = rng.uniform(-0.7, 0.7, (200, 2))
-    boxes.half[:, 3:], boxes.middle[:, 3:] = 1 / 32, (2 * rng.integers(0, 16, (200, 2)) + 1) / 32
-    low, (first, second) = family.evaluate(boxes).low, family.evaluate.pairs[0]
-    place = np.array(UNEVEN)
+    boxes = boxes.taken(rng.integers(0, len(boxes), 100))
+    size, half = (100, boxes.middle.shape[1] - 3), boxes.half.copy()
+    boxes.half[:, 0] *= 0.5 ** rng.integers(0, 6, 100)
+    boxes.middle[:, 0] += rng.uniform(-1.0, 1.0, 100) * (half[:, 0] - boxes.half[:, 0])
+    boxes.half[:, 1:3] = tilt * 0.5 ** rng.integers(1, 10, (100, 1))
+    boxes.middle[:, 1:3] = tilt * rng.uniform(-0.7, 0.7, (100, 2))
+    pieces = 2 ** rng.integers(3, 7, size)
+    boxes.half[:, 3:] = 0.5 / pieces
+    boxes.middle[:, 3:] = (rng.integers(0, pieces) + 0.5) / pieces
+    low, compared = family.evaluate(boxes).low, getattr(family.evaluate, "parts", None)
     for k in np.flatnonzero(np.isfinite(low)):
-        inside = boxes.middle[k, 1:3] + rng.uniform(-1, 1, (60, 2)) * boxes.half[k, 1:3]
-        inside = inside[np.hypot(*inside.T) <= 1.0]
-        if not len(inside):
-            continue
-        down = np.column_stack([tilt * inside, np.full(len(inside), -1.0)])
+        side = np.clip(rng.uniform(-2.0, 2.0, (60, len(half[k]))), -1.0, 1.0)
+        case = boxes.middle[k] + side * boxes.half[k]
+        case = case[np.hypot(*case[:, 1:3].T) <= tilt]
+        place = plan.motion.at(case[:, 0])[0]
+        place = displaced(rng, place, error)
+        down = np.column_stack([case[:, 1:3], np.full(len(case), -1.0)])
+        pair = np.atleast_1d(getattr(family.evaluate, "pairs", np.arange(3))[boxes.group[k]])
         near = []
-        for segment, at in ((first, 3), (second, 4)):
-            f = boxes.middle[k, at] + np.linspace(-1, 1, 9) * boxes.half[k, at]
-            start, end = displaced(rng, np.broadcast_to(place[segment : segment + 2][:, None],
-                                   (2, len(inside), 3)), plan.mission.vehicles.tracking)  # fmt: skip
-            near.append(solve_catenaries(start, end, UNEVEN_LENGTHS[segment], down=down).points(f))
-        required = plan.mission.clearance.cable + plan.mission.cable.diameter
-        assert closest(*near).min() - required >= low[k]
+        for column, segment in enumerate(pair[-size[1] :]):
+            f = boxes.middle[k, 3 + column] + np.linspace(-1, 1, 9) * boxes.half[k, 3 + column]
+            if compared is not None:
+                f = np.clip(f, *compared[boxes.group[k], column])
+            ends = place[:, segment], place[:, segment + 1]
+            near.append(solve_catenaries(*ends, UNEVEN_LENGTHS[segment], down=down).points(f))
+        if check == "floor":
+            margin = near[0][..., 2] - radius - clearance.floor
+        elif check == "vehicle-cable clearance":
+            body = place[:, pair[0], None] + body_points(plan.mission.vehicles)
+            margin = closest(near[0], body) - radius - clearance.vehicle_cable
+        else:
+            margin = closest(*near) - 2.0 * radius - clearance.cable
+        assert margin.min(initial=np.inf) >= low[k] - 1e-9
 
 
 def test_strands_lean_by_no_more_than_the_measured_laws_say():
@@ -134,7 +170,7 @@ def test_strands_lean_by_no_more_than_the_measured_laws_say():
         figures = (strands.length, strands.parameter, strands.slope, strands.span, strands.rise)
         shape = Catenary(*(float(figure[k]) for figure in figures))
         strand = pieces.Strand((0.0,) * 3, (0.0, 0.0, -1.0), (1.0, 0.0, 0.0), shape, (0.0,) * 3)
-        motion = pieces._EndMotion(0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        motion = pieces._EndMotion(0, ((0.0,) * 3, (0.0,) * 3), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         radii = pieces.Radii(0.0, 0.0, 0.0)
         piece = pieces.Piece(strand, 0.0, 1.0, 1, (0.0,) * 3, (0.0,) * 3, 0.0, motion, radii)
         bounds.append([
