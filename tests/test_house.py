@@ -12,7 +12,6 @@ ROOT = Path(__file__).parent.parent
 SOURCES = sorted(path for name in ("swarm", "sitl") for path in (ROOT / name).rglob("*.py"))
 REASONED = ("geometry", "certification", "folding", "planning", "planner", "flight")
 """Packages of `swarm` in which every numeric constant of a module has its reason beside it."""
-PARAMETERS, KERNEL_PARAMETERS = 8, 6
 
 
 @pytest.mark.parametrize(
@@ -86,23 +85,3 @@ def test_every_numeric_constant_has_its_reason() -> None:
 def test_a_constant_without_a_reason_is_found() -> None:
     module = 'A = 1.0\n\nB = 2, 3\n"""Metres."""\n# Seconds.\nC = f(4)\nD = -5\nE = "text"\n'
     assert list(unreasoned(module)) == ["A = 1.0", "D = -5"]
-
-
-def test_functions_have_few_parameters() -> None:
-    """At most eight; compiled ones six. Options of commands and of the Python API do not count."""
-    found = []
-    for path in SOURCES:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                continue
-            decorators = [ast.unparse(each) for each in node.decorator_list]
-            if any("command(" in each for each in decorators):
-                continue
-            taken = node.args.posonlyargs + node.args.args
-            if path.parent != ROOT / "swarm" / "front":
-                taken += node.args.kwonlyargs
-            count = len([each for each in taken if each.arg not in {"self", "cls"}])
-            most = KERNEL_PARAMETERS if "compiled" in decorators else PARAMETERS
-            if count > most:
-                found.append(f"{named(path, node)}: {node.name} has {count}")
-    assert found == []
