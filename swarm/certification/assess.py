@@ -156,8 +156,8 @@ def _scope(plan: Plan, *, swing_certified: bool) -> Finding:
     model = "in the quasi-static cable model"
     if swing_certified:
         model = (
-            "in the swinging-cable model for the planned motion and one ordinary stop, or one "
-            f"resume of a cable at rest, at any moment of the fold, {model}"
+            "in the swinging-cable model for the planned motion and one ordinary stop with the "
+            f"resume that follows, at any moment of the fold, {model}"
         )
     return Finding(
         "info",

@@ -72,8 +72,8 @@ class Assessment:
     distances of the tightest strands. ``contingencies`` is None where the cable is never aloft.
     ``stream_loss`` limits the clock's rate, so that clearances hold after a loss of setpoints.
     ``tube`` bounds the swing of the cable; None without a fold. ``swing_certified`` says whether
-    clearances hold in it, for the planned motion and one ordinary stop, or one resume of a cable at
-    rest.
+    clearances hold in it, for the planned motion and one ordinary stop with the resume that
+    follows.
     """
 
     findings: tuple[Finding, ...]

@@ -27,7 +27,7 @@ from swarm.certification.stream_loss_samples import Losses, allocate_memory, wri
 from swarm.certification.team_margins import required_of
 from swarm.geometry.motion import reverse
 from swarm.planning import Plan, digest
-from swarm.planning.clock_limits import ClockLimits, clock_limits
+from swarm.planning.clock_limits import BANDWIDTH, SMOOTH, ClockLimits, clock_limits
 from swarm.threads import side_by_side, usual_threads
 
 Floats = npt.NDArray[np.float64]
@@ -40,13 +40,23 @@ RATES = (1.0, 0.85, 0.72, 0.61, 0.52, 0.45, 0.38, 0.34, 0.3)
 """Clock rates that are tried, fastest first: each is about 85 % of the one before."""
 FINE_RATES = tuple(float(rate) for rate in np.linspace(1.0, 0.3, 8))
 """Clock rates that are tried for plans' own timing."""
-BRAKING_TIME = 0.3
-"""Seconds for which a vehicle that is commanded to stop where it is continues at its speed: with
-3 m/s² (MPC_ACC_HOR) it takes less at speeds up to 2 m/s."""
+_BRAKING = (0.35, 0.12)
+"""Seconds at its speed by which PX4 flies on after its timeout, and the additional seconds per m/s:
+0.38, 0.43 and 0.57 s with 0.5, 1 and 2 m/s (PX4 1.16, COM_OF_LOSS_T 0.5 and MPC_ACC_HOR 3, in the
+physics of this project; it holds 0.6 s of its speed and the braking distance farther on)."""
 _TURNING = (0.45, 0.15)
 """Seconds at its speed by which ArduCopter passes the target at which its setpoints ended, and the
 additional seconds per m/s: 0.51, 0.57 and 0.73 s with 0.5, 1 and 2 m/s (ArduCopter 4.6 and default
 parameters, in its own simulator)."""
+_LOWERED = 65
+"""Rates between which the distance of braking is interpolated: 1 % of full rate apart."""
+_LONGEST_BRAKING = 12.0
+"""Seconds of mission time that braking from full rate takes at most, with a slope of 0.1."""
+_LATE = 4.0 / BANDWIDTH
+"""Seconds by which an ordinary change ends late: it begins a time constant late, and its last part
+takes three."""
+_SPEEDS = 0.1
+"""Seconds between the moments whose speeds are compared."""
 _SIDE_BY_SIDE = 100
 """Moments that are computed by several threads: a thread starts in the time of a few of them."""
 _FOUND = 0.005
@@ -80,18 +90,17 @@ class StreamLossModel:
         }
         return replace(self, **alike)
 
-    def overrun(self, plan: Plan) -> Overrun:
-        """Return how far the vehicles of a plan move on."""
+    def overrun(self, plan: Plan, span: tuple[float, float] | None = None) -> Overrun:
+        """Return how far the vehicles of a plan move on, after losses in a span of mission time."""
         timeout, descent, returns = (
             np.broadcast_to(values, plan.vehicles)
             for values in (self.timeout, self.descent, self.returns)
         )
-        vehicles = plan.mission.vehicles
-        turning = _TURNING[0] + _TURNING[1] * vehicles.max_speed
-        braking_time = np.where(returns, turning, BRAKING_TIME)
+        braking, more = np.where(returns[:, None], _TURNING, _BRAKING).T
+        braking_time = braking + more * _fastest(plan, *(span or plan.motion.times[[0, -1]]))
         coast_time = timeout + braking_time
         rest_time = np.where(returns, timeout, coast_time)
-        limits = clock_limits(plan.motion, vehicles.braking_acceleration)
+        limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
         return Overrun(coast_time, rest_time, braking_time, self.silence, limits, descent)
 
 
@@ -241,6 +250,15 @@ def _fold(plan: Plan) -> tuple[float, float, bool] | None:
     return fold[0].start, fold[-1].end, all(phase.reversible for phase in fold)
 
 
+def _fastest(plan: Plan, start: float, end: float) -> float:
+    """Return the largest speed of a vehicle between two times, m/s."""
+    times = np.arange(start, end + _SPEEDS, _SPEEDS)
+    speeds = np.linalg.norm(plan.motion.at(times)[1], axis=2)
+    # a speed changes by at most this from the nearest of these times on
+    between = 0.5 * _SPEEDS * plan.mission.vehicles.max_acceleration
+    return float(speeds.max()) + between
+
+
 def _times(start: float, end: float) -> Floats:
     return np.append(np.arange(start, end, STEP), end)
 
@@ -277,7 +295,7 @@ def _ahead_of(named: _Named) -> _Limits:
 
 def _limits_of(plan: Plan, model: StreamLossModel, times: Floats, end: float) -> _Limits:
     """Return the limits of a clock that runs on along a plan's motion, no farther than ``end``."""
-    overrun = model.overrun(plan)
+    overrun = model.overrun(plan, (float(times[0]), end))
     accepted = _Accepted(_FOUND, exact=True)
     rates, margins, vehicles = _sampled_rates(plan, overrun, (times, end), RATES, accepted)
     lost = np.isnan(rates)
@@ -318,7 +336,8 @@ def sampled_rates(
     """
     fold = plan.phase("fold")
     times = np.append(np.arange(fold.start, fold.end, step), fold.end)
-    overrun, accepted = StreamLossModel().overrun(plan), _Accepted(margin, exact=False)
+    overrun = StreamLossModel().overrun(plan, (fold.start, fold.end))
+    accepted = _Accepted(margin, exact=False)
     rates = _sampled_rates(plan, overrun, (times, fold.end), tried, accepted)[0]
     return times, np.nan_to_num(rates, nan=tried[-1])
 
@@ -389,13 +408,24 @@ def _margins(
 def _reachable(limits: ClockLimits, times: Floats, rates: Floats) -> Floats:
     """Lower rates ahead of limits, so that ordinary braking reaches each limit in time.
 
-    The clock's rate r changes by at most d per second; along mission time r dr/dτ = d.
+    The slope rises and falls at SMOOTH to lower the rate by x within a time T: T = 2 √(x / SMOOTH),
+    or x / d + d / SMOOTH where it stays at the steepest d between. The clock passes T times the
+    mean rate meanwhile, and _LATE times the first.
     """
     limited = rates.copy()
-    for k in range(len(times) - 2, -1, -1):
-        slope = min(limits.at(time, urgent=False) for time in (times[k], times[k + 1]))
-        gain = 2.0 * slope * (times[k + 1] - times[k])
-        limited[k] = min(limited[k], float(np.sqrt(limited[k + 1] ** 2 + gain)))
+    for k in np.flatnonzero(rates < 1.0):
+        lowered = np.linspace(0.0, 1.0 - rates[k], _LOWERED)
+        first = max(np.searchsorted(times, times[k] - _LONGEST_BRAKING), 0)
+        steepest = min(limits.at(time, urgent=False) for time in times[first : k + 1])
+        brief = lowered < steepest**2 / SMOOTH
+        duration = np.where(
+            brief, 2.0 * np.sqrt(lowered / SMOOTH), lowered / steepest + steepest / SMOOTH
+        )
+        distance = duration * (rates[k] + 0.5 * lowered) + _LATE * (rates[k] + lowered)
+        before = times[k] - times[first:k]
+        limited[first:k] = np.minimum(
+            limited[first:k], rates[k] + np.interp(before, distance, lowered)
+        )
     return limited
 
 
@@ -405,7 +435,8 @@ def _losses(plan: Plan, when: tuple[Floats, float], rate: float, overrun: Overru
     position, velocity, _ = plan.motion.at(times)
     # The team continues until the silence is detected; then the clock's rate falls to zero. Moments
     # are halfway, at the ends of these motions, and when vehicles have returned, if any does.
-    advance = overrun.advance(times, np.array(rate))
+    stopped = overrun.stopped(np.arange(plan.vehicles), rate).max()
+    advance = np.maximum(overrun.advance(times, np.array(rate)), stopped)
     coast, rest = rate * overrun.coast_time, rate * overrun.rest_time
     moments = [(0.5 * coast, 0.5), (coast, 1.0)]
     if (rest < coast).any():

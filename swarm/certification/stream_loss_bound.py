@@ -115,7 +115,7 @@ class Overrun:
         """Return bounds (m,) of the team's advance when a vehicle has coasted for ``coast``."""
         return coast * np.minimum(1.0, self.silence / self.coast_time[vehicle])
 
-    def stopped(self, vehicle: Ints, rate: Floats) -> Floats:
+    def stopped(self, vehicle: Ints, rate: Floats | float) -> Floats:
         """Return the least advance (m,) that counts, for any clock: until a vehicle has stopped.
 
         One that returns has passed the place at a lower rate that counts with all of the advance.

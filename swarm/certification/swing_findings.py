@@ -14,6 +14,8 @@ Floats = npt.NDArray[np.float64]
 def swing_findings(plan: Plan, tube: SwingTube | None) -> list[Finding]:
     """Return the largest swing of fold and hold, and the tube; an error beyond ``fold.swing``.
 
+    Also an error where other stops and resumes than those of the tube come out of it.
+
     A warning without that limit where it exceeds the tracking errors that are certified. None
     without a tube.
     """
@@ -34,6 +36,9 @@ def swing_findings(plan: Plan, tube: SwingTube | None) -> list[Finding]:
         f"than {max(tracking, 0.1):g} m; after a change of the clock's rate, at any moment: "
         f"{changes}; with the errors of the model at most {tube.all_changes.largest:.2f} m"
     )
+    if tube.beyond is not None and tube.beyond > 0.0:
+        beyond = f"; others, with twice the links, come {tube.beyond:.3f} m out of their tube"
+        return [Finding("error", "swing", message + beyond, time)]
     if limit != "auto" and largest > limit:
         return [Finding("error", "swing", f"{message}; fold.swing allows {limit:g} m", time)]
     severity: Severity = "info" if largest <= max(tracking, 0.1) else "warning"

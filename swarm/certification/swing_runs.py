@@ -20,7 +20,7 @@ from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenari
 from swarm.geometry.lumped_mass import Strands, SwingModel, cable_model
 from swarm.geometry.strays import Held, subtract_catenaries
 from swarm.planning import Plan
-from swarm.planning.clock_limits import COURSE_STEP, clock_limits
+from swarm.planning.clock_limits import COURSE_STEP, ClockLimits, clock_limits
 from swarm.planning.shaping import COMPARED, steps_between_compared
 from swarm.signatures import contiguous
 from swarm.threads import side_by_side
@@ -57,9 +57,9 @@ _TOGETHER = 8
 class Course:
     """A change of the clock's rate, followed for ``duration`` seconds.
 
-    It is simulated from beginnings ``apart`` seconds of mission time from each other, if not urgent
-    at most _CERTIFIED_APART where the swing is certified; where the rate is 0, with the cable at
-    rest. Courses of one name are stated together, and are urgent or not together.
+    It is simulated from beginnings ``apart`` seconds of mission time from each other, the first
+    after ``delay``. A clock that stops first resumes after ``stopped`` seconds. Courses of one name
+    are stated together, and are urgent or not together.
     """
 
     name: str
@@ -68,6 +68,8 @@ class Course:
     urgent: bool
     duration: float
     apart: float
+    delay: float = 0.0
+    stopped: float = 0.0
 
     def begins(self, other: "Course") -> bool:
         """Whether it is the beginning of the other, from where both are simulated."""
@@ -75,27 +77,53 @@ class Course:
             self.duration < other.duration
         )
 
+    def times(self, limits: ClockLimits, starts: Floats) -> Floats:
+        """Return mission times (c, k), COURSE_STEP apart, of courses that begin at times (c,)."""
+        if not self.stopped:
+            return limits.course(starts, self.rate, self.target, self.duration, urgent=self.urgent)
+        stop = limits.course(starts, self.rate, 0.0, self.stopped, urgent=self.urgent)
+        rest = self.duration - self.stopped
+        resumed = limits.course(stop[:, -1], 0.0, self.target, rest, urgent=self.urgent)
+        return np.concatenate([stop[:, :-1], resumed], axis=1)
+
+
+_STOPPED, _FOLLOWED = 9.0, 20.0
+"""Seconds from the beginning of an ordinary stop to a clock that stands, and seconds for which a
+resume is followed: what it swings stays, and comes to where the planned motion hardly swings."""
+
+
+def _stops_and_resumes(name: str, rests: Sequence[float], apart: float) -> tuple[Course, ...]:
+    """Return courses that begin ``apart`` seconds from each other, with each of the rests."""
+    return tuple(
+        Course(
+            name, 1.0, 1.0, False, _STOPPED + rest + _FOLLOWED, apart * len(rests), apart * k,
+            _STOPPED + rest,
+        )
+        for k, rest in enumerate(rests)
+    )  # fmt: skip
+
+
+ORDINARY_COURSES = _stops_and_resumes("stop and resume", (0.0, 0.7, 1.5, 2.4), 0.4)
+"""An ordinary stop, and the resume in different phases of the swing that it has left; longer rests
+leave less. Every 0.4 s of mission time with another rest: 5,600 others, with rests every 0.25 s,
+stay within what is added for those between (docs/method.md)."""
+
+CHECKS = _stops_and_resumes("other stop and resume", (0.3, 1.1, 1.9), 3.1)
+"""Other beginnings and rests, which check each certified tube with twice the links."""
 
 COURSES = (
     Course("urgent stop", 1.0, 0.0, True, 6.0, 0.5),
-    Course("ordinary stop", 1.0, 0.0, False, 6.0, 2.0),
+    *ORDINARY_COURSES,
     Course("urgent rewind", 1.0, -1.0, True, 6.0, 0.3),
     Course("urgent rewind", 1.0, -1.0, True, 20.0, 0.9),
-    Course("resume", 0.0, 1.0, False, 6.0, 2.0),
 )
 """What the clock may do. Strays are largest within a period, about 2 s, after the clock has reached
-its target: after 1.2 s in urgent stops, 4 s in ordinary ones. Ordinary stops and resumes swing half
-as far as urgent stops: they need fewer beginnings. A rewind meets the same change of the planned
-motion twice, twice as much later as it begins later: with beginnings every 0.5 s, 3 of 250 others
-left the tube of the default overhand by up to 6 mm, with 0.3 s none. What it swings stays for
-longer than the 6 s, and comes to where the planned motion hardly swings: of 100 such rewinds 3 left
-the tube by up to 0.7 mm with beginnings every 4 s and every 2 s; with 1 s, 3.6 mm were left. Every
-third of the short ones is the beginning of a long one."""
-
-_CERTIFIED_APART = 0.5
-"""Seconds of mission time between the beginnings of ordinary changes, at most, where clearances are
-certified for these alone: with 2 s, 1 of 150 ordinary stops of the default overhand left the tube
-of ordinary changes by 1 mm, and 2 of 60 resumes by up to 9 mm; with 1 s, a resume by 0.03 mm."""
+its target. A rewind meets the same change of the planned motion twice, twice as much later as it
+begins later: with beginnings every 0.5 s, 3 of 250 others left the tube of the default overhand by
+up to 6 mm, with 0.3 s none. What it swings stays for longer than the 6 s, and comes to where the
+planned motion hardly swings: of 100 such rewinds 3 left the tube by up to 0.7 mm with beginnings
+every 4 s and every 2 s; with 1 s, 3.6 mm were left. Every third of the short ones is the beginning
+of a long one."""
 
 SETTLING = 2.0
 """Seconds at the end of a stop in which a strand reaches its amplitude to both sides: more than
@@ -233,9 +261,14 @@ class PlannedSwing:
     states: tuple[Floats, ...]
 
 
-def planned_swing(plan: Plan, span: tuple[float, float]) -> PlannedSwing:
-    """Return the swing in the planned motion between the times of :func:`aloft`."""
+def planned_swing(plan: Plan, span: tuple[float, float], *, finer: bool = False) -> PlannedSwing:
+    """Return the swing in the planned motion between the times of :func:`aloft`.
+
+    With ``finer``, of strands with twice the links, and half the step.
+    """
     strands = strands_of(plan)
+    if finer:
+        strands = tuple(some.refined() for some in strands)
     model = strands[-1].model
     times, compared = _times(span, model.step), steps_between_compared(model)
     ends = plan.motion.places(times)
@@ -264,14 +297,14 @@ def swings_after(
     """
     limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
     strands, model = planned.strands, planned.strands[-1].model
-    certified, compared = plan.mission.fold.certifies_swing, steps_between_compared(model)
+    compared = steps_between_compared(model)
     everywhere = np.ones(len(plan.layout.lengths), np.bool_)
 
     def beginnings(course: Course) -> Ints:
-        apart = course.apart
-        if certified and not course.urgent:
-            apart = min(apart, _CERTIFIED_APART)
-        return np.arange(0, len(planned.times) - 1, compared * round(apart / COMPARED))
+        first, apart = (
+            compared * round(seconds / COMPARED) for seconds in (course.delay, course.apart)
+        )
+        return np.arange(first, len(planned.times) - 1, apart)
 
     def groups() -> Iterator[_Group]:
         for course in changes:
@@ -279,10 +312,7 @@ def swings_after(
             for other in changes:
                 if course.begins(other):
                     chosen = np.setdiff1d(chosen, beginnings(other))
-            times = limits.course(
-                planned.times[chosen], course.rate, course.target, course.duration,
-                urgent=course.urgent,
-            )  # fmt: skip
+            times = course.times(limits, planned.times[chosen])
             times = np.clip(_with_step(times, model.step), span[0], span[1])
             for first in range(0, len(chosen), _TOGETHER):
                 some = slice(first, first + _TOGETHER)
@@ -299,8 +329,6 @@ def swings_after(
             if not len(here):
                 continue
             some, begun = every.taken(here), states[group.first][:, :, here]
-            if course.rate == 0.0:
-                begun = np.stack([some.at_rest(places) for places in ends[:, 0]])
             moved = ends[:, :: round(some.model.step / model.step)]
             joints.append(some.swing_on_each(begun, moved, steps_between_compared(some.model)))
             simulated.append(some)

@@ -3,9 +3,9 @@
 It contains all strays that :mod:`.swing_runs` simulates, and bounds of what lies between the
 simulated moments and of the error of the model: in the planned motion, and after ordinary and
 urgent stops, rewinds and resumes of the mission clock at any moment. Clearances are certified in
-the tube of the planned motion, ordinary stops and resumes. Urgent stops and rewinds swing a strand
-two to three times as far: in the tube with them, no plan of the figure-eight was found. The budget
-counts all of them, for strands.
+the tube of the planned motion, and of ordinary stops with the resume that follows. Urgent stops and
+rewinds swing a strand two to three times as far: in the tube with them, no plan of the figure-eight
+was found. The budget counts all of them, for strands.
 """
 
 from collections.abc import Iterable
@@ -25,7 +25,9 @@ from swarm.certification.approaches import (
 )
 from swarm.certification.compared_pairs import exempt_length
 from swarm.certification.swing_runs import (
+    CHECKS,
     COURSES,
+    ORDINARY_COURSES,
     SETTLING,
     PlannedSwing,
     Swung,
@@ -50,6 +52,10 @@ BETWEEN_STOPS = 0.005
 """Metres by which the stray after a stop can exceed those after the stops before and after it:
 measured for stops every 0.25 s in the default overhand and figure-eight."""
 
+BETWEEN_RESTS = 0.05
+"""Share by which the stray after a stop and a resume can exceed them in addition, after a rest
+between theirs: as measured in the default overhand with five vehicles."""
+
 MODEL_ERROR = 0.006
 """Metres by which a finer chain strays farther: 2 mm with 96 links and 2.5 ms in the default
 missions with ``fold.swing`` in metres, 6 mm in the overhand without."""
@@ -64,6 +70,8 @@ where urgent stops had shown none."""
 _PLANNED = "planned motion"
 """Name of the motion without a change of the clock's rate, beside those of courses."""
 
+_RESUMED = ORDINARY_COURSES[0].name
+
 _LAST = round(SETTLING / COMPARED)
 """Compared moments at the end of a stop that show the amplitudes."""
 
@@ -74,9 +82,11 @@ class SwingTube:
 
     ``planned`` (k, n − 1) are the simulated strays in the planned motion, ``changed`` the largest
     stray after each change of the clock's rate, by its name. ``all_changes`` are the radii for all
-    of these, ``ordinary`` those for the planned motion, ordinary stops and resumes.
+    of these, ``ordinary`` those for the planned motion and ordinary stops with their resumes.
     ``pairs`` are those near each other in the middles of the intervals, with the same bounds of how
-    much nearer they come as both swing, after all changes.
+    much nearer they come as both swing, after all changes. ``beyond`` is how far other stops and
+    resumes, simulated with twice the links, come out of ``ordinary``, negative where they stay
+    inside; None where clearances are not certified in it.
     """
 
     start: float
@@ -85,6 +95,7 @@ class SwingTube:
     all_changes: TubeRadii = field(repr=False)
     ordinary: TubeRadii = field(repr=False)
     pairs: PairSwing = field(repr=False)
+    beyond: float | None
 
     @property
     def times(self) -> Floats:
@@ -155,24 +166,43 @@ def _tube_of(named: _Named) -> SwingTube | None:
     if swings is None or ordinary is None:
         return None
     swings.collect(swings_after(named.plan, swings.span, swings.planned, _URGENT))
-    return _made_of(swings, ordinary)
+    return _made_of(named.plan, swings, ordinary)
 
 
 _URGENT = tuple(course for course in COURSES if course.urgent)
 _URGENT_STOPS = tuple(course for course in _URGENT if course.target == 0.0)
 
 
-def _made_of(swings: "_Swings", ordinary: TubeRadii) -> SwingTube:
+def _made_of(plan: Plan, swings: "_Swings", ordinary: TubeRadii) -> SwingTube:
     found, start = swings.found, swings.span[0]
     names = dict.fromkeys(course.name for course in COURSES)
     return SwingTube(
         start=start,
         planned=found[_PLANNED].max(axis=2),
         changed={name: float(found[name].max()) for name in names},
-        all_changes=_radii(start, list(found.values())),
+        all_changes=_radii(start, found),
         ordinary=ordinary,
         pairs=_pairs_of(swings),
+        beyond=_beyond(plan, swings, ordinary) if plan.mission.fold.certifies_swing else None,
     )
+
+
+def _beyond(plan: Plan, swings: "_Swings", ordinary: TubeRadii) -> float:
+    """Return how far the checks of a plan come out of the tube of ordinary changes, metres."""
+    planned = planned_swing(plan, swings.span, finer=True)
+    checks = replace(
+        swings, planned=planned, close=swings.close.taken(np.empty(0, np.intp)), found={}
+    )
+    checks.collect([planned.swung, *swings_after(plan, swings.span, planned, CHECKS)])
+    found = _leaves(np.maximum.reduce(list(checks.found.values())))
+    return float((found - ordinary.pieces[:, :, LEAVES:]).max())
+
+
+def _leaves(strays: Floats) -> Floats:
+    """Return the largest strays (k, n − 1, 8) of parts of strands, from those of joints."""
+    links = (strays.shape[2] - 1) // LEAVES
+    leaves = [strays[:, :, k * links : (k + 1) * links + 1].max(axis=2) for k in range(LEAVES)]
+    return np.stack(leaves, axis=2)
 
 
 def _pairs_of(swings: "_Swings") -> PairSwing:
@@ -230,19 +260,18 @@ def _intervals(span: tuple[float, float]) -> int:
 @lru_cache(maxsize=8)
 def _ordinary_radii_of(named: _Named) -> TubeRadii | None:
     swings = _ordinary_of(named)
-    return None if swings is None else _radii(swings.span[0], list(swings.found.values()))
+    return None if swings is None else _radii(swings.span[0], swings.found)
 
 
 @lru_cache(maxsize=1)
 def _ordinary_of(named: _Named) -> _Swings | None:
-    """The planned motion, ordinary stops and resumes: a third of the swings, which show whether
-    the clearances are kept. Kept, 0.1 GB for the Carrick mat, until the others are added."""
+    """The planned motion, ordinary stops and their resumes: they show whether the clearances are
+    kept. Remembered, 0.1 GB for the Carrick mat, until the others are added."""
     begun = _begun(named)
     if begun is None:
         return None
     swings = replace(begun, found=dict(begun.found), approach=begun.approach.copy())
-    ordinary = tuple(course for course in COURSES if not course.urgent)
-    swings.collect(swings_after(named.plan, swings.span, swings.planned, ordinary))
+    swings.collect(swings_after(named.plan, swings.span, swings.planned, ORDINARY_COURSES))
     return swings
 
 
@@ -263,16 +292,16 @@ def _begun(named: _Named) -> _Swings | None:
     return swings
 
 
-def _radii(start: float, found: list[Floats]) -> TubeRadii:
-    """Return the radii for strays (k, n − 1, links + 1) in metres in each interval, of motions.
+def _radii(start: float, found: dict[str, Floats]) -> TubeRadii:
+    """Return the radii for strays (k, n − 1, links + 1) in metres in each interval, by change.
 
     A change between two simulated ones passes through each mission time at most half their distance
     from where one of them does: the intervals before and after count, too.
     """
-    most = np.maximum.reduce(found)
+    most = np.maximum.reduce(
+        [(1.0 + (name == _RESUMED) * BETWEEN_RESTS) * strays for name, strays in found.items()]
+    )
     wide = np.pad(most, ((1, 1), (0, 0), (0, 0)), mode="edge")
     most = np.maximum(most, np.maximum(wide[:-2], wide[2:]))
-    links = (most.shape[2] - 1) // LEAVES
-    leaves = [most[:, :, k * links : (k + 1) * links + 1].max(axis=2) for k in range(LEAVES)]
-    bound = (1.0 + BETWEEN_SAMPLES) * np.stack(leaves, axis=2) + BETWEEN_STOPS + MODEL_ERROR
+    bound = (1.0 + BETWEEN_SAMPLES) * _leaves(most) + BETWEEN_STOPS + MODEL_ERROR
     return TubeRadii.of_leaves(start, bound)

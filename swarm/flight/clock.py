@@ -1,8 +1,15 @@
 """The mission clock: mission time advances at a rate between −1 and 1 that is C¹ in real time."""
 
+import math
 from dataclasses import dataclass
 
-from swarm.planning.clock_limits import BANDWIDTH, URGENT_BANDWIDTH, ClockLimits
+from swarm.planning.clock_limits import (
+    BANDWIDTH,
+    SMOOTH,
+    URGENT_BANDWIDTH,
+    ClockLimits,
+    next_slope,
+)
 
 _CLOSE = 1e-3
 """Rate, and its slope per second, that count as reached: 2 mm/s at the default speed limit."""
@@ -13,7 +20,8 @@ class MissionClock:
     """Mission time and its rate.
 
     The rate's slope is continuous and within ``limits``: setpoints then accelerate for a change of
-    rate by no more than plans keep in reserve, and less where nothing is ``urgent``.
+    rate by no more than plans keep in reserve, and less where nothing is ``urgent``. A ``prompt``
+    change, to slow down for errors, begins at once too, and is as slow as ordinary ones.
     """
 
     limits: ClockLimits
@@ -22,6 +30,7 @@ class MissionClock:
     slope: float = 0.0
     target: float = 0.0
     urgent: bool = False
+    prompt: bool = False
 
     @property
     def steepest(self) -> float:
@@ -43,17 +52,12 @@ class MissionClock:
         return self.rate == 0.0 and self.slope == 0.0
 
     def advance(self, duration: float, lowest: float, highest: float) -> None:
-        """Move on by a short real time, within bounds of mission time.
-
-        The slope follows its own target at four times the bandwidth, the critically damped case:
-        the rate does not overshoot.
-        """
-        steepest = self.steepest
+        """Move on by a short real time, within bounds of mission time."""
         bandwidth = URGENT_BANDWIDTH if self.urgent else BANDWIDTH
-        wanted = bandwidth * (self.target - self.rate)
-        wanted = max(-steepest, min(steepest, wanted))
-        share = min(1.0, 4.0 * bandwidth * duration)
-        slope = self.slope + share * (wanted - self.slope)
+        rise = math.inf if self.urgent or self.prompt else SMOOTH
+        slope = next_slope(
+            self.rate, self.slope, self.target, self.steepest, bandwidth, rise, duration
+        )
         change = 0.5 * (self.slope + slope) * duration
         self.time += (self.rate + 0.5 * change) * duration
         self.rate += change

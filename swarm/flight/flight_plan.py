@@ -165,8 +165,8 @@ def _model(plan: Plan, assessment: Assessment) -> str:
     if not assessment.swing_certified:
         return quasi_static
     return (
-        " in the swinging-cable model for the planned motion and one ordinary stop, or one "
-        "resume of a cable at rest,"
+        " in the swinging-cable model for the planned motion and one ordinary stop with "
+        "the resume that follows,"
         f"{quasi_static}"
     )
 

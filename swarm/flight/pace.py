@@ -49,6 +49,7 @@ def steer_clock(flight: FlightState) -> None:
     """Set the clock's target rate."""
     clock = flight.clock
     clock.urgent = _too_far(flight) or any(cause != OPERATOR for cause in flight.holds.causes)
+    clock.prompt = _pace_of_errors(flight) < abs(clock.rate)
     if flight.holds.causes:
         clock.target = 0.0
         return
@@ -69,15 +70,21 @@ def allowed_pace(flight: FlightState, *, backwards: bool) -> float:
 
     For a clock that runs on or ``backwards``. Flights without feedback keep their rate.
     """
-    options = flight.setup.options
-    if options.open_loop:
+    if flight.setup.options.open_loop:
         return 1.0
+    limit = flight.stream_loss.rate_limit(flight.clock.time, backwards=backwards)
+    return min(_pace_of_errors(flight), limit)
+
+
+def _pace_of_errors(flight: FlightState) -> float:
+    """Return the largest rate, 0…1, that errors and clearances allow now."""
+    options = flight.setup.options
     pace = min(1.0, max(0.0, (1.0 - _worst(flight)) / (1.0 - SLOW_FROM)))
     if options.error_limit is not None and flight.phase.name == "hold":
         pace = 1.0  # the errors that are measured here must not decide for how long
     if flight.monitored.sample is not None:
         pace = min(pace, flight.monitored.sample.pace)
-    return min(pace, flight.stream_loss.rate_limit(flight.clock.time, backwards=backwards))
+    return pace
 
 
 def _too_far(flight: FlightState) -> bool:

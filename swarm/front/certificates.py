@@ -160,7 +160,7 @@ def certify(
     A cleared certificate holds for every clearance in the quasi-static cable model, and for every
     displacement of every grip point by up to ``mission.vehicles.tracking``; with ``fold.swing`` in
     metres also around it, as far as the cable swings in the planned motion and after one ordinary
-    stop, or one resume of a cable at rest.
+    stop with the resume that follows.
 
     Raises :class:`swarm.InputError` where a cable is missing, is given with a plan or does not fit.
 

@@ -6,7 +6,7 @@ touch each other, the floor or the vehicles, and do not act on the vehicles.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -92,6 +92,11 @@ class Strands:
     def taken(self, where: Ints) -> "Strands":
         """Return some of the strands."""
         return Strands(self.segments[where], self.lengths[where], self.model)
+
+    def refined(self) -> "Strands":
+        """Return the strands with twice the links, and half the step."""
+        links, step = 2 * self.model.links, 0.5 * self.model.step
+        return replace(self, model=replace(self.model, links=links, step=step))
 
     def at_rest(self, ends: Floats) -> Floats:
         """Return the state (2, s, links + 1, 3) of strands that hang still at grip points (n, 3).

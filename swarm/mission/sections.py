@@ -341,8 +341,8 @@ class Fold(Section):
         "auto",
         "Largest distance of the swinging cable from its catenary in the planned fold, which is "
         "shaped and slowed for it. In metres, the clearances hold around the catenary too, as far "
-        "as the cable swings in the planned motion and after one ordinary stop, or one resume of a "
-        "cable at rest. auto: 0.95 % of the longest segment, 1 % with fewer vehicles than the grid "
+        "as the cable swings in the planned motion and after one ordinary stop with the resume "
+        "that follows. auto: 0.95 % of the longest segment, 1 % with fewer vehicles than the grid "
         "diagram has corners, at least 0.06 m, as far as slowing reaches that within the "
         "endurance.",
         above=0,

@@ -2,8 +2,9 @@
 
 A change of the rate by ṙ per second accelerates a vehicle of planned speed v by ṙ·v along its path.
 Braking keeps that within the plan's reserve b for the fastest vehicle of the moment. An ordinary
-change is slower: three seconds from full rate to rest, longer than the periods of the strands,
-which then swing little.
+change is smoother: the slope rises and falls steadily, in eight seconds from full rate to rest.
+Such a triangle leaves no swing with half that period, and little with shorter ones (Singer and
+Seering 1990): 4 s is the period of 12 m of cable whose ends are together, 5.2 √(ℓ/2g).
 """
 
 from dataclasses import dataclass
@@ -14,6 +15,8 @@ import numpy.typing as npt
 import scipy
 
 from swarm.geometry.motion import Motion
+from swarm.jit import compiled
+from swarm.signatures import Floats1, Floats2
 
 Floats = npt.NDArray[np.float64]
 
@@ -21,13 +24,15 @@ BANDWIDTH, URGENT_BANDWIDTH = 2.0, 8.0
 """The speed at which the clock's rate approaches its target, ordinarily and urgently, per second:
 rates that follow measured errors are smooth, urgent stops begin at once."""
 
-ORDINARY = 1.0 / 3.0
-"""Largest slope of the rate, 1/s, where nothing is urgent: after such stops the strands of the
-shaped overhand swing by 0.07 m, after stops with the braking reserve by 0.17 m."""
+ORDINARY = 0.25
+"""Largest slope of the rate, 1/s, where nothing is urgent: halfway from full rate to rest."""
+
+SMOOTH = ORDINARY**2
+"""How fast an ordinary slope rises, 1/s²: to ORDINARY while the rate falls from 1 to 1/2."""
 
 URGENT = 1.0
 """Largest slope of the rate in an urgent stop, 1/s: the vehicles then stop about as late as one
-that has lost its setpoints (0.8 s); faster stops of slow teams would gain nothing."""
+that has lost its setpoints (1.0 s); faster stops of slow teams would gain nothing."""
 
 COURSE_STEP = 0.02
 """Seconds between the times of a course: a tick at 50 Hz."""
@@ -78,21 +83,10 @@ class ClockLimits:
         Each begins at a time of ``starts`` (c,) with ``rate`` and approaches ``target``, as
         :class:`swarm.flight.clock.MissionClock` does.
         """
-        bandwidth = URGENT_BANDWIDTH if urgent else BANDWIDTH
-        share = min(1.0, 4.0 * bandwidth * COURSE_STEP)
-        rates, slopes = np.full(len(starts), rate), np.zeros(len(starts))
-        times = [np.asarray(starts, dtype=np.float64)]
-        for _ in range(round(duration / COURSE_STEP)):
-            samples = np.rint((times[-1] - self.start) / _STEP).astype(np.intp)
-            # with np.clip, whose overhead is large for so few clocks, a step takes twice as long
-            steepest = self.urgent[np.minimum(np.maximum(samples, 0), len(self.urgent) - 1)]
-            steepest = steepest if urgent else np.minimum(steepest, ORDINARY)
-            wanted = np.minimum(np.maximum(bandwidth * (target - rates), -steepest), steepest)
-            after = slopes + share * (wanted - slopes)
-            change = 0.5 * (slopes + after) * COURSE_STEP
-            times.append(times[-1] + (rates + 0.5 * change) * COURSE_STEP)
-            rates, slopes = rates + change, after
-        return np.stack(times, axis=1)
+        times = np.empty((len(starts), round(duration / COURSE_STEP) + 1))
+        times[:, 0] = starts
+        _write_courses(self.start, self.urgent, (rate, target), urgent, times)
+        return times
 
     @cached_property
     def _energy(self) -> tuple[Floats, Floats]:
@@ -111,3 +105,45 @@ def clock_limits(motion: Motion, braking: float) -> ClockLimits:
     speed = np.linalg.norm(motion.at(times)[1], axis=2).max(axis=1)
     fastest = scipy.ndimage.maximum_filter1d(speed, 2 * _AROUND + 1, mode="nearest")
     return ClockLimits(float(motion.times[0]), np.minimum(URGENT, braking / (fastest + 1e-9)))
+
+
+@compiled
+def next_slope(
+    rate: float, slope: float, target: float, steepest: float, bandwidth: float, rise: float,
+    duration: float,
+) -> float:  # fmt: skip
+    """Return the slope of the clock's rate (1/s) after a short ``duration`` in seconds.
+
+    It follows a wanted slope at four times the bandwidth, the critically damped case: the rate does
+    not overshoot. It rises no faster than ``rise`` (1/s²), and falls likewise as the rate
+    approaches its target; a slope in the wrong direction ends at once.
+    """
+    left = abs(target - rate)
+    near = rise / bandwidth**2
+    wanted = bandwidth * left if left < near else np.sqrt(2.0 * rise * (left - 0.5 * near))
+    wanted = min(wanted, steepest) if target > rate else -min(wanted, steepest)
+    change = min(1.0, 4.0 * bandwidth * duration) * (wanted - slope)
+    if slope * change >= 0.0:
+        change = max(-rise * duration, min(rise * duration, change))
+    return float(slope + change)
+
+
+@compiled
+def _write_courses(
+    start: float, limits: Floats1, rates: tuple[float, float], urgent: bool, times: Floats2
+) -> None:
+    """Write mission times (c, k) of courses from those in the first column.
+
+    From the first of ``rates`` to the second, with the steepest slopes of :class:`ClockLimits`.
+    """
+    bandwidth, rise = (URGENT_BANDWIDTH, np.inf) if urgent else (BANDWIDTH, SMOOTH)
+    for c in range(len(times)):
+        time, rate, slope = times[c, 0], rates[0], 0.0
+        for k in range(1, times.shape[1]):
+            sample = min(max(round((time - start) / _STEP), 0), len(limits) - 1)
+            steepest = limits[sample] if urgent else min(limits[sample], ORDINARY)
+            after = next_slope(rate, slope, rates[1], steepest, bandwidth, rise, COURSE_STEP)
+            change = 0.5 * (slope + after) * COURSE_STEP
+            time += (rate + 0.5 * change) * COURSE_STEP
+            rate, slope = rate + change, after
+            times[c, k] = time

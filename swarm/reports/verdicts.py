@@ -56,7 +56,7 @@ def plan_verdict(plan: Plan, assessment: Assessment) -> Verdict:
         f"{head}: {subject}, {errors}. Not certified: {beside}, gusts, rotor wash{short}, friction."
     )
     model = (
-        "swinging-cable model (planned motion, one ordinary stop, or one resume from rest)"
+        "swinging-cable model (planned motion, one ordinary stop with the resume that follows)"
         if swinging
         else "quasi-static cable model"
     )

@@ -90,14 +90,14 @@ def test_hold_stops_along_the_path_and_resume_goes_on():
     flight = network(no_cable=True)
     flight.until_phase("fold", 2.0)
     flight.conductor.request("hold")
-    flight.until_time(5.0)
+    flight.until_time(9.5)
     stood = flight.conductor.clock.time
     assert flight.conductor.clock.stopped
     flight.until_time(2.0)
     assert flight.conductor.clock.time == stood
     assert np.linalg.norm(flight.conductor.state.observation.velocity, axis=1).max() < 0.1
     flight.conductor.request("resume")
-    flight.until_time(3.0)
+    flight.until_time(5.0)
     assert flight.conductor.clock.time > stood + 1.0
 
 

@@ -52,8 +52,8 @@ def test_a_plan_with_limited_swing_is_certified_in_the_swinging_cable_model() ->
         "gusts, rotor wash, friction."
     )
     assert found.details.startswith(
-        "Certified in the swinging-cable model (planned motion, one ordinary stop, or one resume "
-        "from rest). Not certified: other swing, gusts,"
+        "Certified in the swinging-cable model (planned motion, one ordinary stop with the resume "
+        "that follows). Not certified: other swing, gusts,"
     )
 
 
