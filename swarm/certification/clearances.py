@@ -228,7 +228,7 @@ def _each_vehicle(plan: Plan, other: str) -> list[tuple[str, str]]:
 def _strands(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, ...]:
     """Hanging strands: not taut, apart, and above the floor."""
     clearance, diameter = plan.mission.clearance, plan.mission.cable.diameter
-    pairs, parts = all_pairs(plan.layout.lengths, exempt_length(plan))
+    pairs, parts = all_pairs(plan.layout.lengths, exempt_length(plan), once=bool(cable.tilts))
     neighbours = pairs[:, 1] == pairs[:, 0] + 1
     # Boxes around neighbours, which meet at their vehicle, are never apart.
     far = FarPairs(cable, pairs[~neighbours], clearance.cable + diameter)

@@ -29,12 +29,12 @@ def exempt_lengths(lengths: Floats, beyond: float) -> Floats:
     return found
 
 
-def all_pairs(lengths: Floats, beyond: float) -> tuple[Ints, Floats]:
+def all_pairs(lengths: Floats, beyond: float, *, once: bool = False) -> tuple[Ints, Floats]:
     """Return all pairs (q, 2) of segments to compare, and the compared parts (q, 2, 2).
 
     Each of two neighbours is compared with the whole of the other from ``beyond`` metres of cable
     away from their shared vehicle, or from half of the shorter one where that is less: two entries
-    per pair.
+    per pair, of which the second leaves out what the first compares with ``once``.
     """
     first, second = np.triu_indices(len(lengths), 1)
     pairs = np.stack([first, second], axis=1)
@@ -45,6 +45,8 @@ def all_pairs(lengths: Floats, beyond: float) -> tuple[Ints, Floats]:
     near = exempt_lengths(lengths, beyond)
     left[:, 0, 1] = 1.0 - near / lengths[i]
     right[:, 1, 0] = near / lengths[j]
+    if once:
+        right[:, 0, 0] = left[:, 0, 1]
     return (
         np.concatenate([pairs[~neighbours], pairs[neighbours], pairs[neighbours]]),
         np.concatenate([whole[~neighbours], left, right]),

@@ -220,7 +220,7 @@ def most_steps(
 
     search(
         evaluate, replace(boxes, enough=0.0), undecided,
-        relevant=relevant, together=_TOGETHER,
+        relevant=relevant, together=_TOGETHER if guess is None else _TOGETHER // 16,
     )  # fmt: skip
     return steps if counted[boxes.group].all() else 0
 

@@ -25,8 +25,8 @@ MOST_WIND = 15.0
 """Largest wind that is tried, m/s (Beaufort 7)."""
 WIND_STEP = 0.005
 """Resolution of w*, m/s: a twentieth of the last digit that is shown."""
-_GUESS = 8192
-"""Boxes of a kind of clearance that are searched for a first guess."""
+_FIRST, _GUESS = 64, 8192
+"""Steps that are tried first, and boxes of a kind of clearance that are searched for a guess."""
 
 
 def robustness_of(
@@ -136,7 +136,8 @@ def _largest(
     """Return the largest value up to ``most`` at which the checks hold, in steps from ``shown`` on.
 
     They are taken to hold there, where they are not made. Every kind is first searched at its
-    tight ``moments``; the kinds that made the value fall there are then searched first.
+    tight ``moments``, for ever larger values until one does not hold. Then all boxes are searched:
+    of the kinds with the fewest coordinates first, and of those where the value fell last.
     """
     at = cache(lambda steps: checks(shown + steps * step))
     steps = max(math.floor((most - shown) / step), 0)
@@ -150,12 +151,22 @@ def _largest(
             lambda fewer: at(fewer)[which].evaluate, steps, boxes, initial, family.tolerance, guess
         )
 
-    order: list[int] = []
-    for which in range(len(at(steps))):
-        fewer = kept(which, steps, _GUESS)
-        order = [which, *order] if fewer < steps else [*order, which]
-        steps = fewer
-    for which in order:
+    order = list(range(len(at(steps))))
+
+    def guessed(steps: int) -> int:
+        for which in sorted(order):
+            fewer = kept(which, steps, _GUESS)
+            if fewer < steps:
+                order.remove(which)
+                order.insert(0, which)
+            steps = fewer
+        return steps
+
+    tried = min(_FIRST, steps)
+    while (held := guessed(tried)) == tried < steps:
+        tried = min(2 * tried, steps)
+    steps = held
+    for which in sorted(order, key=lambda which: len(at(1)[which].others)):
         steps = kept(which, steps, None)
     return shown + steps * step
 

@@ -325,6 +325,24 @@ def test_the_exempt_length_is_at_most_half_of_the_shorter_segment():
     ]
 
 
+def test_parts_that_are_compared_once_are_all_that_are_compared():
+    lengths, rng = np.array([1.0, 4.0, 10.0]), np.random.default_rng(2)
+    point = rng.uniform(0.0, 1.0, (500, 2))
+    pairs, parts = all_pairs(lengths, 1.02)
+    same, once = all_pairs(lengths, 1.02, once=True)
+    assert (same == pairs).all()
+    for pair in np.unique(pairs, axis=0):
+        often, single = (
+            sum(
+                ((low <= point) & (point <= high)).all(axis=1)
+                for low, high in each[(pairs == pair).all(axis=1)].swapaxes(1, 2)
+            )
+            for each in (parts, once)
+        )
+        assert ((often > 0) == (single > 0)).all()
+        assert single.max() == 1
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_bounds_of_movement_include_the_jumps_between_pieces(seed):
     rng = np.random.default_rng(seed)
