@@ -330,7 +330,7 @@ def curvature_table() -> Floats:
     )
     nodes = nodes_of(np.concatenate([below, edges]), np.arcsinh(slopes), 6 * _PARTS)
     second = np.empty(nodes.angle.shape)
-    _write_second(nodes, _DIRECTIONS, second)
+    _write_second(nodes, _DIRECTIONS, np.empty((len(_DIRECTIONS), 6)), second)
     cells = bounds_over_cells(nodes, second / np.cos(2.0 * _BETWEEN_DIRECTIONS), _PARTS)
     # Shorter spans are not looked up.
     widest = nodes.ratio[1:, None] / np.cosh(nodes.steepness[:-1])
@@ -342,13 +342,13 @@ def curvature_table() -> Floats:
 
 
 @compiled
-def _write_second(nodes: Nodes, directions: Floats2, found: Floats3) -> None:
+def _write_second(nodes: Nodes, directions: Floats2, turns: Floats2, found: Floats3) -> None:
     """Write |∂²x/∂p²(d, d)| times span at all nodes, the largest of unit directions d (k, 3).
 
     With the end force F = (H, V) over the weight of a metre, x(s) = ∫ τ(F + V s′) ds′ and
     ∂x/∂F = K(s). Its second derivative along δ = K(ℓ)⁻¹ d is the integral Q(s) of
     −(2 (τ·δ) Pδ + |Pδ|² τ) / T², P = 1 − τ τᵀ, so that ∂²x/∂p²(d, d) = Q(s) − B(s) Q(ℓ).
-    Directions are along the heading, upward and across.
+    Directions are along the heading, upward and across; ``turns`` (k, 6) is memory for δ and Q(ℓ).
     """
     for i in range(nodes.angle.shape[0]):
         for j in range(nodes.angle.shape[1]):
@@ -358,21 +358,23 @@ def _write_second(nodes: Nodes, directions: Floats2, found: Floats3) -> None:
             bent, level, cross = response
             determinant = bent * level - cross * cross
             whole = _curving(first, angle[-1])
+            for d in range(len(directions)):
+                ahead, up = directions[d, 0], directions[d, 1]
+                pulled = (level * ahead - cross * up) / determinant
+                raised = (bent * up - cross * ahead) / determinant
+                aside = directions[d, 2] / turned
+                turns[d, 0], turns[d, 1], turns[d, 2] = pulled, raised, aside
+                turns[d, 3], turns[d, 4], turns[d, 5] = _curved(whole, pulled, raised, aside)
             for k in range(len(angle)):
                 xx, xz, zx, zz = share_of(response_between(first, angle[k]), response)
                 share = (angle[k] - first) / turned
                 part = _curving(first, angle[k])
                 largest = 0.0
                 for d in range(len(directions)):
-                    ahead, up = directions[d, 0], directions[d, 1]
-                    pulled = (level * ahead - cross * up) / determinant
-                    raised = (bent * up - cross * ahead) / determinant
-                    aside = directions[d, 2] / turned
-                    x, z, y = _curved(part, pulled, raised, aside)
-                    whole_x, whole_z, whole_y = _curved(whole, pulled, raised, aside)
-                    x -= xx * whole_x + xz * whole_z
-                    z -= zx * whole_x + zz * whole_z
-                    y -= share * whole_y
+                    x, z, y = _curved(part, turns[d, 0], turns[d, 1], turns[d, 2])
+                    x -= xx * turns[d, 3] + xz * turns[d, 4]
+                    z -= zx * turns[d, 3] + zz * turns[d, 4]
+                    y -= share * turns[d, 5]
                     largest = max(largest, x * x + y * y + z * z)
                 found[i, j, k] = turned * math.sqrt(largest)
 

@@ -261,10 +261,10 @@ def sensitivity_tables() -> Sensitivity:
     # A descending chord is the same strand from its other end.
     both = np.maximum(both, both[..., ::-1])
     far = np.maximum(end, start[..., ::-1])
-    kinds = np.maximum.accumulate(np.stack([both, far, far[..., ::-1]]), axis=2)
-    kinds = kinds[:, :, len(_NEARLY_ONE_PLACE) - 1 :]  # (kind, direction, bin, steepness, piece)
+    kinds = np.stack([both, far, far[..., ::-1]])  # (kind, direction, bin, steepness, piece)
     most = np.append(np.arcsinh(np.tan(_CLASSES[:-1])), np.inf) - 1e-9  # a class begins at a node
     by_class = np.stack([kinds[..., _STEEPNESS[:-1] < each, :].max(axis=3) for each in most])
+    by_class = np.maximum.accumulate(by_class, axis=3)[:, :, :, len(_NEARLY_ONE_PLACE) - 1 :]
     norm = _over_pieces(by_class)
     width = np.diff(np.concatenate([[0.0], edges]))
     integral = np.zeros_like(norm)

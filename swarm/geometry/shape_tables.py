@@ -57,15 +57,16 @@ def _place_nodes(nodes: Nodes) -> None:
             first = np.arcsinh(slope)
             angle, fraction = nodes.angle[i, j], nodes.fraction[i, j]
             level, turned = np.arcsin(np.tanh(first)), np.arcsin(np.tanh(first + 2.0 * half))
-            theta = first
+            theta, sinh = first, np.sinh(first)
             for k in range(1, steps):
                 for _ in range(3):
                     inclined = (np.arcsin(np.tanh(theta)) - level) / (turned - level)
-                    shares = 0.5 * (theta - first) / half + a * (np.sinh(theta) - slope) + inclined
+                    shares = 0.5 * (theta - first) / half + a * (sinh - slope) + inclined
                     cosh = np.cosh(theta)
                     rate = 0.5 / half + a * cosh + 1.0 / (cosh * (turned - level))
                     theta += (3.0 * k / steps - shares) / rate
-                angle[k], fraction[k] = theta, a * (np.sinh(theta) - slope)
+                    sinh = np.sinh(theta)
+                angle[k], fraction[k] = theta, a * (sinh - slope)
             angle[0], fraction[0] = first, 0.0
             angle[steps], fraction[steps] = first + 2.0 * half, 1.0
 
@@ -106,19 +107,20 @@ def _write_remainder(figure: Floats3, width: Floats1, found: Floats3) -> None:
     The second derivative in a step is the larger of those at both of its nodes; the first and the
     last node have that of their neighbour.
     """
-    count = len(width) + 1
+    last = len(width) - 1
     for i in range(figure.shape[0]):
-        for j in range(count - 1):
-            factor = 2.0 * width[j] ** 2 / 8.0
-            low, high = max(j, 1), min(j + 1, count - 2)
+        for j in range(1, last + 1):
             for k in range(figure.shape[2]):
-                largest = 0.0
-                for node in (low, high):
-                    after = (figure[i, node + 1, k] - figure[i, node, k]) / width[node]
-                    before = (figure[i, node, k] - figure[i, node - 1, k]) / width[node - 1]
-                    second = abs(2.0 * (after - before) / (width[node - 1] + width[node]))
-                    largest = max(largest, second)
-                found[i, j, k] = factor * largest
+                after = (figure[i, j + 1, k] - figure[i, j, k]) / width[j]
+                before = (figure[i, j, k] - figure[i, j - 1, k]) / width[j - 1]
+                found[i, j, k] = abs(2.0 * (after - before) / (width[j - 1] + width[j]))
+        for k in range(figure.shape[2]):
+            found[i, 0, k] = found[i, 1, k]
+        # found[j] is the second derivative at node j, and then the remainder of the step after it.
+        for j in range(last + 1):
+            factor = 2.0 * width[j] ** 2 / 8.0
+            for k in range(figure.shape[2]):
+                found[i, j, k] = factor * max(found[i, j, k], found[i, min(j + 1, last), k])
 
 
 @compiled
