@@ -111,7 +111,8 @@ def figures(ratio, elevation, fractions):
     norms, second = np.empty((2, 2, *angles.shape)), np.empty(angles.shape)
     sensitivity._write_norms(nodes, norms)
     directions = np.ascontiguousarray(DIRECTIONS[:, [0, 2, 1]])
-    linear_response._write_second(nodes, directions, second)
+    memory = np.empty((len(directions), 6))
+    linear_response._write_second(nodes, directions, memory, second)
     both = norms.sum(axis=1)[:, 0, 0, 1:-1]
     return *both, second[0, 0, 1:-1]
 
