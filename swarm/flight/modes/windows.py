@@ -47,7 +47,12 @@ def may_release_at(flight: FlightState, vehicles: Collection[int]) -> bool:
 
 
 def turning_below_cable(flight: FlightState) -> list[Vehicle]:
-    """Return the vehicles on the ground whose rotors still turn, with cable above them."""
+    """Return the vehicles on the ground whose rotors still turn, with cable above them.
+
+    None while a vehicle flies alone: the others keep their heights above it as they descend.
+    """
+    if _any_flies_alone(flight):
+        return []
     gripped = flight.observation.gripped
     held = np.logical_and(gripped[:-1], gripped[1:])
     below: npt.NDArray[np.bool_] = np.any(_above_rotors(flight)[:, held], axis=1)
@@ -62,21 +67,31 @@ def held_by_cable(flight: FlightState) -> list[int]:
     """Return the one or two vehicles that a caught strand holds back while the others descend.
 
     They are aside or above by more than the allowed tracking error, and by twice as much as any
-    other. Not while a vehicle may fly alone: it pulls its neighbours.
+    other. Not beside a vehicle on the ground, where cable that lies on the floor pulls, and not
+    while a vehicle flies alone, which pulls its neighbours.
     """
-    seen, streams, vehicles = flight.observation, flight.streams, flight.roster.vehicles
-    alone = [vehicles[k] for k in not_following(flight)] + unanswering(flight)
-    alone += [vehicle for vehicle in vehicles if not flight.received(vehicle)]
-    if any(vehicle.armed and not vehicle.on_ground for vehicle in alone):
+    if _any_flies_alone(flight):
         return []
+    seen, streams, vehicles = flight.observation, flight.streams, flight.roster.vehicles
     off = seen.position - streams.setpoint
     # one on the ground reports a height above it where its barometer drifts
     off[:, 2] = np.where(streams.setpoint[:, 2] > LAG, np.maximum(off[:, 2], 0.0), 0.0)
     error = np.linalg.norm(off, axis=1)
+    down = [k for k, vehicle in enumerate(vehicles) if vehicle.on_ground]
+    beside = [j for k in down for j in (k - 1, k, k + 1) if 0 <= j < len(vehicles)]
+    error[beside] = np.nan
     error = np.where(streams.active & seen.armed & np.isfinite(error), error, 0.0)
     far = error > flight.allowed_error
     held = 1 <= far.sum() <= 2 and error[~far].max(initial=0.0) < 0.5 * error[far].min()
     return np.flatnonzero(far).tolist() if held else []
+
+
+def _any_flies_alone(flight: FlightState) -> bool:
+    """Return whether a vehicle in the air follows no setpoints, or may not."""
+    vehicles = flight.roster.vehicles
+    alone = [vehicles[k] for k in not_following(flight)] + unanswering(flight)
+    alone += [vehicle for vehicle in vehicles if not flight.received(vehicle)]
+    return any(vehicle.armed and not vehicle.on_ground for vehicle in alone)
 
 
 def _above_rotors(flight: FlightState) -> npt.NDArray[np.bool_]:
