@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.jit import inner
-from swarm.signatures import Floats1, Floats2, Ints1, contiguous
+from swarm.jit import compiled, inner
+from swarm.signatures import Bools2, Floats1, Floats2, Ints1, contiguous
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -204,15 +204,33 @@ def _halved(boxes: Boxes, found: Enclosure, where: Ints, cut: float) -> Boxes:
     The halves of a box follow each other: what they share is computed once for both.
     """
     doubts = found.doubts[where]
-    boxes = replace(boxes.taken(where), known=found.low[where])
-    largest = reduce(np.maximum, doubts.T)
-    for coordinate in range(doubts.shape[1]):
-        split = doubts[:, coordinate] >= cut * largest
-        order = np.repeat(np.arange(len(split)), 1 + split)
-        boxes, doubts, largest = boxes.taken(order), doubts[order], largest[order]
-        second = np.flatnonzero(np.diff(order) == 0) + 1
-        half = 0.5 * boxes.half[second, coordinate]
-        for side, step in ((second - 1, -half), (second, half)):
-            boxes.half[side, coordinate] = half
-            boxes.middle[side, coordinate] += step
-    return boxes
+    splits = doubts >= cut * reduce(np.maximum, doubts.T)[:, None]
+    parts = 1 << splits.sum(axis=1)
+    group, known = np.repeat(boxes.group[where], parts), np.repeat(found.low[where], parts)
+    middle, half = np.empty((2, len(group), doubts.shape[1]))
+    _write_halves(boxes.arrays(), where, splits, middle, half)
+    return Boxes(group, middle, half, known, boxes.enough)
+
+
+@compiled
+def _write_halves(
+    boxes: BoxArrays, where: Ints1, splits: Bools2, middle: Floats2, half: Floats2
+) -> None:
+    """Write middles and half widths of the halves of some boxes, in the coordinates (b, d) that are
+    split: the lower ones first, and those of the last coordinate next to each other."""
+    written = 0
+    for b in range(len(where)):
+        parts = 1
+        for k in range(splits.shape[1]):
+            if splits[b, k]:
+                parts *= 2
+        for part in range(parts):
+            bit = parts
+            for k in range(splits.shape[1]):
+                middle[written, k] = boxes.middle[where[b], k]
+                half[written, k] = boxes.half[where[b], k]
+                if splits[b, k]:
+                    bit //= 2
+                    half[written, k] *= 0.5
+                    middle[written, k] += half[written, k] if part & bit else -half[written, k]
+            written += 1

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.certification.branch_and_bound import Enclosure
+from swarm.certification.branch_and_bound import Boxes, Enclosure, _halved
 from swarm.certification.minima import (
     MOST_BOXES,
     TOLERANCE,
@@ -85,6 +85,25 @@ def test_every_span_has_boxes_of_the_given_width():
     boxes = roots(2, [(0.0, 4.0), (10.0, 14.0), (20.0, 20.5), (30.0, 32.2)], 1.0)
     assert np.unique(boxes.half) == pytest.approx([0.25, 2.2 / 6, 0.5])
     assert len(boxes) == 2 * (4 + 4 + 1 + 3)
+
+
+def test_the_parts_of_boxes_fill_them_without_overlap():
+    rng = np.random.default_rng(4)
+    middle, half, doubts = rng.uniform(0.1, 1.0, (3, 40, 4))
+    boxes = Boxes(np.arange(40), middle, half, np.zeros(40))
+    found = Enclosure(rng.uniform(size=40), np.ones(40), doubts, middle[:, :3])
+    where = rng.permutation(40)[:25]
+    parts = _halved(boxes, found, where, 0.5)
+    assert parts.group[np.sort(np.unique(parts.group, return_index=True)[1])].tolist() == [*where]
+    assert (parts.known == found.low[parts.group]).all()
+    for k in where:
+        own = parts.taken(parts.group == k)
+        cut = doubts[k] >= 0.5 * doubts[k].max()
+        assert (own.half == np.where(cut, 0.5, 1.0) * half[k]).all()
+        steps = (own.middle - middle[k]) / half[k]
+        sides = np.sign(steps[:, cut])
+        assert np.allclose(abs(steps), np.where(cut, 0.5, 0.0))
+        assert len(np.unique(sides, axis=0)) == len(own) == 2 ** cut.sum()
 
 
 def test_boxes_that_halve_to_themselves_are_not_shown():
