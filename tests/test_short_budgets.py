@@ -65,7 +65,7 @@ def test_a_budget_that_is_short_after_urgent_stops_is_not_computed_further() -> 
 
 def test_repairs_aim_at_moments_that_are_short_with_more_swing_too() -> None:
     plan = planned_overhand().plan
-    found = budgets_after_urgent_stops(with_clearance(plan, plan.mission.clearance.cable + 0.25))
+    found = budgets_after_urgent_stops(with_clearance(plan, plan.mission.clearance.cable + 0.2))
     aims = {(one.check, one.time) for one in found.aims}
     assert aims > {(one.check, one.time) for one in found.moments}
     assert sum(one.metres for one in found.aims) > found.total

@@ -62,7 +62,7 @@ def test_who_attaches_again_may_resume(alone):
     flight.until_phase("fold", after=1.0)
     caller.gone.set()
     tasks.run(flight.now)
-    flight.until_time(5.0)
+    flight.until_time(9.5)
     assert flight.conductor.clock.stopped
     caller.gone.clear()
     tasks.run(flight.now)
