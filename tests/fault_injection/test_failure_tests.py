@@ -13,14 +13,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pymavlink.dialects.v20 import common
 
 from swarm import planner
 from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.certification.contingency_windows import ContingencyWindows
 from swarm.certification.stream_loss import StreamLossCertificate, StreamLossModel, WorstLoss
 from swarm.flight.modes.contingency import leave_the_plan, release_fallen
-from swarm.flight.modes.windows import held_by_cable, turning_below_cable
 from swarm.flight.policy import LOSES_A_VEHICLE, TABLE, Response
 from swarm.mission import mission_for_knot, parse_mission
 from swarm.planning import digest
@@ -447,62 +445,6 @@ def test_a_caught_strand_is_released_where_the_team_cannot_release_all(team):
     assert not truth.strikes
     assert not truth.contacts
     assert truth.position[:, 2].max() < 0.1
-
-
-@pytest.mark.parametrize("team", ["ardupilot", "px4"])
-def test_a_strand_that_is_caught_while_the_team_descends_is_released(team):
-    flight = moving_to_a_landing(team)
-    while not flight.conductor.state.guidance.descending:
-        flight.step()
-    snag = {"at": flight.now, "kind": "snag", "arc": 0.5 * float(PLAN.plan.layout.lengths[0])}
-    flight.emulator.inject(Fault.model_validate(snag))
-    state = flight.conductor.state
-    never = np.zeros_like(state.setup.windows.release)
-    state.setup = replace(state.setup, windows=replace(state.setup.windows, release=never))
-    while flight.conductor.finished is None:
-        flight.step()
-    (released,) = [event.message for event in flight.events if event.kind == "release"]
-    assert released.startswith("releasing where the cable is caught")
-    truth = flight.emulator.truth()
-    assert not truth.strikes
-    assert not truth.contacts
-    assert truth.position[:, 2].max() < 0.1
-
-
-def test_a_vehicle_is_held_by_a_caught_strand_where_it_alone_is_off_and_its_neighbours_fly():
-    flight = SteppedSimulation.create(PLAN, failure_test_fleet(3, "px4"), seed=2)
-    while flight.conductor.clock.time < PLAN.plan.phase("fold").start + 2.0:
-        flight.step()
-    state = flight.conductor.state
-
-    def held(*off):
-        place = state.observation.position + np.array(off)[:, None] * [0.5, 0.0, 0.5]
-        state.streams = replace(state.streams, setpoint=place)
-        return held_by_cable(state)
-
-    assert held(0.0, -1.0, 0.0) == [1]
-    assert held(0.0, 1.0, 0.0) == [1]
-    assert held(0.0, 0.0, 0.0) == held(1.0, 1.0, 1.0) == held(0.0, 0.3, 0.18) == []
-    state.streams = replace(state.streams, active=np.array([True, True, False]))
-    assert held(0.0, -1.0, 0.0) == []
-    state.streams = replace(state.streams, active=np.array([True, True, True]))
-    state.roster.vehicles[0].landed_state = common.MAV_LANDED_STATE_ON_GROUND
-    assert held(0.0, -1.0, 0.0) == []
-
-
-def test_the_team_descends_onto_no_rotor_that_still_turns():
-    flight = SteppedSimulation.create(PLAN, failure_test_fleet(3, "px4"), seed=2)
-    while flight.conductor.clock.time < PLAN.plan.phase("fold").start + 2.0:
-        flight.step()
-    state = flight.conductor.state
-    place = state.streams.setpoint.copy()
-    place[2] = 0.5 * (place[0] + place[1])
-    for height, turning in ((2.0, []), (0.0, [state.roster.vehicles[2]])):
-        place[2, 2] = height
-        state.streams = replace(state.streams, setpoint=place)
-        assert turning_below_cable(state) == turning
-    state.observation = replace(state.observation, armed=np.array([True, True, False]))
-    assert turning_below_cable(state) == []
 
 
 FIRST_STEPS = Path(__file__).parents[2] / "missions" / "first-steps"
