@@ -33,7 +33,7 @@ class FailureCase:
       neither land nor release without cable on a rotor. With ``lands_alone`` the failsafes
       of the autopilots land the vehicles where they are; one more strike may happen where the
       plan has no window for landing. During the first ``fall_time`` seconds any number may: the
-      cable falls, or is blown aside, because of the fault.
+      cable falls because of the fault.
     - ``stream_loss``: vehicles fly on without setpoints, so the worst case of the stream loss
       certificate applies: the mission's own clearances.
     - ``needs_cable``: without cable there is no such fault, or none that has to slow the team.

@@ -301,12 +301,10 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         slows_clock=True,
         moves_certified=True,
         allowed_strikes=1,
-        fall_time=4.0,
         explanation=(
             "a sudden wind of 6 m/s deflects the cable by 50° and pushes vehicles off their path; "
-            "before they are back, a loop beside a vehicle may be blown over its rotor, whatever "
-            "the team does; the cable may touch a rotor once more until it has landed; 15 m/s at "
-            "most, because emulated vehicles cannot hold their positions from 17 m/s on"
+            "the cable may touch a rotor during the landing; 15 m/s at most, because emulated "
+            "vehicles cannot hold their positions from 17 m/s on"
         ),
     ),
     FailureCase(
