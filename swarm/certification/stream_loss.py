@@ -50,8 +50,6 @@ additional seconds per m/s: 0.51, 0.57 and 0.73 s with 0.5, 1 and 2 m/s (ArduCop
 parameters, in its own simulator)."""
 _LOWERED = 65
 """Rates between which the distance of braking is interpolated: 1 % of full rate apart."""
-_LONGEST_BRAKING = 12.0
-"""Seconds of mission time that braking from full rate takes at most, with a slope of 0.1."""
 _LATE = 4.0 / BANDWIDTH
 """Seconds by which an ordinary change ends late: it begins a time constant late, and its last part
 takes three."""
@@ -409,23 +407,20 @@ def _reachable(limits: ClockLimits, times: Floats, rates: Floats) -> Floats:
     """Lower rates ahead of limits, so that ordinary braking reaches each limit in time.
 
     The slope rises and falls at SMOOTH to lower the rate by x within a time T: T = 2 √(x / SMOOTH),
-    or x / d + d / SMOOTH where it stays at the steepest d between. The clock passes T times the
-    mean rate meanwhile, and _LATE times the first.
+    or x / d + d / SMOOTH where it stays at the steepest d between, the least of all these times.
+    The clock passes T times the mean rate meanwhile, and _LATE times the first.
     """
     limited = rates.copy()
+    steepest = min(limits.at(time, urgent=False) for time in times)
     for k in np.flatnonzero(rates < 1.0):
         lowered = np.linspace(0.0, 1.0 - rates[k], _LOWERED)
-        first = max(np.searchsorted(times, times[k] - _LONGEST_BRAKING), 0)
-        steepest = min(limits.at(time, urgent=False) for time in times[first : k + 1])
         brief = lowered < steepest**2 / SMOOTH
         duration = np.where(
             brief, 2.0 * np.sqrt(lowered / SMOOTH), lowered / steepest + steepest / SMOOTH
         )
         distance = duration * (rates[k] + 0.5 * lowered) + _LATE * (rates[k] + lowered)
-        before = times[k] - times[first:k]
-        limited[first:k] = np.minimum(
-            limited[first:k], rates[k] + np.interp(before, distance, lowered)
-        )
+        reached = rates[k] + np.interp(times[k] - times[:k], distance, lowered)
+        limited[:k] = np.minimum(limited[:k], reached)
     return limited
 
 

@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from swarm.certification.clearances import segment_name
 from swarm.certification.findings import Finding, Severity
-from swarm.certification.swing_tube import SwingTube
+from swarm.certification.swing_tube import SwingTube, beyond_ordinary
 from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]
@@ -14,9 +14,8 @@ Floats = npt.NDArray[np.float64]
 def swing_findings(plan: Plan, tube: SwingTube | None) -> list[Finding]:
     """Return the largest swing of fold and hold, and the tube; an error beyond ``fold.swing``.
 
-    Also an error where other stops and resumes than those of the tube come out of it.
-
-    A warning without that limit where it exceeds the tracking errors that are certified. None
+    A warning without that limit where it exceeds the tracking errors that are certified. An error
+    too where clearances are certified in the tube, and other stops and resumes come out of it. None
     without a tube.
     """
     if tube is None:
@@ -36,9 +35,10 @@ def swing_findings(plan: Plan, tube: SwingTube | None) -> list[Finding]:
         f"than {max(tracking, 0.1):g} m; after a change of the clock's rate, at any moment: "
         f"{changes}; with the errors of the model at most {tube.all_changes.largest:.2f} m"
     )
-    if tube.beyond is not None and tube.beyond > 0.0:
-        beyond = f"; others, with twice the links, come {tube.beyond:.3f} m out of their tube"
-        return [Finding("error", "swing", message + beyond, time)]
+    beyond = beyond_ordinary(plan, tube.ordinary) if plan.mission.fold.certifies_swing else 0.0
+    if beyond > 0.0:
+        words = f"; others, with twice the links, come {beyond:.3f} m out of their tube"
+        return [Finding("error", "swing", message + words, time)]
     if limit != "auto" and largest > limit:
         return [Finding("error", "swing", f"{message}; fold.swing allows {limit:g} m", time)]
     severity: Severity = "info" if largest <= max(tracking, 0.1) else "warning"

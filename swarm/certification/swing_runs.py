@@ -105,8 +105,8 @@ def _stops_and_resumes(name: str, rests: Sequence[float], apart: float) -> tuple
 
 ORDINARY_COURSES = _stops_and_resumes("stop and resume", (0.0, 0.7, 1.5, 2.4), 0.4)
 """An ordinary stop, and the resume in different phases of the swing that it has left; longer rests
-leave less. Every 0.4 s of mission time with another rest: 5,600 others, with rests every 0.25 s,
-stay within what is added for those between (docs/method.md)."""
+leave less. Every 0.4 s of mission time with another rest: 180 others stay inside what is added for
+those between, by 8 mm (docs/method.md)."""
 
 CHECKS = _stops_and_resumes("other stop and resume", (0.3, 1.1, 1.9), 3.1)
 """Other beginnings and rests, which check each certified tube with twice the links."""

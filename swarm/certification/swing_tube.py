@@ -54,7 +54,7 @@ measured for stops every 0.25 s in the default overhand and figure-eight."""
 
 BETWEEN_RESTS = 0.05
 """Share by which the stray after a stop and a resume can exceed them in addition, after a rest
-between theirs: as measured in the default overhand with five vehicles."""
+between theirs: as in the overhand with five vehicles; each certified plan is checked."""
 
 MODEL_ERROR = 0.006
 """Metres by which a finer chain strays farther: 2 mm with 96 links and 2.5 ms in the default
@@ -71,6 +71,7 @@ _PLANNED = "planned motion"
 """Name of the motion without a change of the clock's rate, beside those of courses."""
 
 _RESUMED = ORDINARY_COURSES[0].name
+"""That of stops with their resumes."""
 
 _LAST = round(SETTLING / COMPARED)
 """Compared moments at the end of a stop that show the amplitudes."""
@@ -84,9 +85,7 @@ class SwingTube:
     stray after each change of the clock's rate, by its name. ``all_changes`` are the radii for all
     of these, ``ordinary`` those for the planned motion and ordinary stops with their resumes.
     ``pairs`` are those near each other in the middles of the intervals, with the same bounds of how
-    much nearer they come as both swing, after all changes. ``beyond`` is how far other stops and
-    resumes, simulated with twice the links, come out of ``ordinary``, negative where they stay
-    inside; None where clearances are not certified in it.
+    much nearer they come as both swing, after all changes.
     """
 
     start: float
@@ -95,7 +94,6 @@ class SwingTube:
     all_changes: TubeRadii = field(repr=False)
     ordinary: TubeRadii = field(repr=False)
     pairs: PairSwing = field(repr=False)
-    beyond: float | None
 
     @property
     def times(self) -> Floats:
@@ -151,6 +149,23 @@ def ordinary_tube(plan: Plan) -> TubeRadii | None:
     return _ordinary_radii_of(_Named(digest(plan), plan))
 
 
+def beyond_ordinary(plan: Plan, radii: TubeRadii) -> float:
+    """Return how far other stops and resumes, with twice the links, come out of a plan's tube.
+
+    In metres beyond the ``radii`` of :func:`ordinary_tube`; negative where they stay inside.
+    Raises ValueError for a plan without a tube.
+    """
+    span = aloft(plan)
+    if span is None:
+        raise ValueError("a plan whose cable does not fold in the air has no tube")
+    planned = planned_swing(plan, span, finer=True)
+    found: dict[str, Floats] = {}
+    for swung in (planned.swung, *swings_after(plan, span, planned, CHECKS)):
+        _collect_strays(span, swung, found)
+    most = _leaves(np.maximum.reduce(list(found.values())))
+    return float((most - radii.pieces[:, :, LEAVES:]).max())
+
+
 @dataclass(frozen=True)
 class _Named:
     digest: str
@@ -166,14 +181,14 @@ def _tube_of(named: _Named) -> SwingTube | None:
     if swings is None or ordinary is None:
         return None
     swings.collect(swings_after(named.plan, swings.span, swings.planned, _URGENT))
-    return _made_of(named.plan, swings, ordinary)
+    return _made_of(swings, ordinary)
 
 
 _URGENT = tuple(course for course in COURSES if course.urgent)
 _URGENT_STOPS = tuple(course for course in _URGENT if course.target == 0.0)
 
 
-def _made_of(plan: Plan, swings: "_Swings", ordinary: TubeRadii) -> SwingTube:
+def _made_of(swings: "_Swings", ordinary: TubeRadii) -> SwingTube:
     found, start = swings.found, swings.span[0]
     names = dict.fromkeys(course.name for course in COURSES)
     return SwingTube(
@@ -183,19 +198,7 @@ def _made_of(plan: Plan, swings: "_Swings", ordinary: TubeRadii) -> SwingTube:
         all_changes=_radii(start, found),
         ordinary=ordinary,
         pairs=_pairs_of(swings),
-        beyond=_beyond(plan, swings, ordinary) if plan.mission.fold.certifies_swing else None,
     )
-
-
-def _beyond(plan: Plan, swings: "_Swings", ordinary: TubeRadii) -> float:
-    """Return how far the checks of a plan come out of the tube of ordinary changes, metres."""
-    planned = planned_swing(plan, swings.span, finer=True)
-    checks = replace(
-        swings, planned=planned, close=swings.close.taken(np.empty(0, np.intp)), found={}
-    )
-    checks.collect([planned.swung, *swings_after(plan, swings.span, planned, CHECKS)])
-    found = _leaves(np.maximum.reduce(list(checks.found.values())))
-    return float((found - ordinary.pieces[:, :, LEAVES:]).max())
 
 
 def _leaves(strays: Floats) -> Floats:
@@ -230,23 +233,28 @@ class _Swings:
         """Add the swings."""
         for swung in swings:
             self.collect_pairs(swung)
-            bins, strays = self._bins(swung), _moments(swung)
-            name = swung.course.name if swung.course else _PLANNED
-            count = _intervals(self.span)
-            most = self.found.setdefault(name, np.zeros((count, *strays.shape[1:3])))
-            collect_distances(bins.ravel(), strays, most)
+            _collect_strays(self.span, swung, self.found)
 
     def collect_pairs(self, swung: Swung) -> None:
         """Add the swings to the approach of close pairs alone."""
-        bins = self._bins(swung)
+        bins = _bins(self.span, swung)
         collect_approaches(self.close, bins.ravel(), _moments(swung), self.approach)
         if swung.course is not None and swung.course.target == 0.0:
             last = swung.strays[:, -_LAST:]
             collect_settling(self.close, bins[:, -1], last, self.approach)
 
-    def _bins(self, swung: Swung) -> Ints:
-        bins = ((swung.times - self.span[0]) / BIN).astype(np.intp)
-        return np.minimum(bins, _intervals(self.span) - 1)
+
+def _collect_strays(span: tuple[float, float], swung: Swung, found: dict[str, Floats]) -> None:
+    """Add a swing to the largest strays (k, n − 1, links + 1) in each interval, by its change."""
+    strays = _moments(swung)
+    name = swung.course.name if swung.course else _PLANNED
+    most = found.setdefault(name, np.zeros((_intervals(span), *strays.shape[1:3])))
+    collect_distances(_bins(span, swung).ravel(), strays, most)
+
+
+def _bins(span: tuple[float, float], swung: Swung) -> Ints:
+    bins = ((swung.times - span[0]) / BIN).astype(np.intp)
+    return np.minimum(bins, _intervals(span) - 1)
 
 
 def _moments(swung: Swung) -> Floats:
@@ -298,9 +306,8 @@ def _radii(start: float, found: dict[str, Floats]) -> TubeRadii:
     A change between two simulated ones passes through each mission time at most half their distance
     from where one of them does: the intervals before and after count, too.
     """
-    most = np.maximum.reduce(
-        [(1.0 + (name == _RESUMED) * BETWEEN_RESTS) * strays for name, strays in found.items()]
-    )
+    larger = {_RESUMED: 1.0 + BETWEEN_RESTS}
+    most = np.maximum.reduce([larger.get(name, 1.0) * each for name, each in found.items()])
     wide = np.pad(most, ((1, 1), (0, 0), (0, 0)), mode="edge")
     most = np.maximum(most, np.maximum(wide[:-2], wide[2:]))
     bound = (1.0 + BETWEEN_SAMPLES) * _leaves(most) + BETWEEN_STOPS + MODEL_ERROR

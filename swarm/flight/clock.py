@@ -8,7 +8,7 @@ from swarm.planning.clock_limits import (
     SMOOTH,
     URGENT_BANDWIDTH,
     ClockLimits,
-    next_slope,
+    moved_on,
 )
 
 _CLOSE = 1e-3
@@ -55,13 +55,14 @@ class MissionClock:
         """Move on by a short real time, within bounds of mission time."""
         bandwidth = URGENT_BANDWIDTH if self.urgent else BANDWIDTH
         rise = math.inf if self.urgent or self.prompt else SMOOTH
-        slope = next_slope(
-            self.rate, self.slope, self.target, self.steepest, bandwidth, rise, duration
+        self.time, self.rate, self.slope = moved_on(
+            (self.time, self.rate, self.slope),
+            self.target,
+            self.steepest,
+            bandwidth,
+            rise,
+            duration,
         )
-        change = 0.5 * (self.slope + slope) * duration
-        self.time += (self.rate + 0.5 * change) * duration
-        self.rate += change
-        self.slope = slope
         if abs(self.target - self.rate) < _CLOSE and abs(self.slope) < _CLOSE:
             self.rate, self.slope = self.target, 0.0
         if not lowest <= self.time <= highest:

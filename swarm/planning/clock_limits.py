@@ -108,16 +108,17 @@ def clock_limits(motion: Motion, braking: float) -> ClockLimits:
 
 
 @compiled
-def next_slope(
-    rate: float, slope: float, target: float, steepest: float, bandwidth: float, rise: float,
-    duration: float,
-) -> float:  # fmt: skip
-    """Return the slope of the clock's rate (1/s) after a short ``duration`` in seconds.
+def moved_on(
+    clock: tuple[float, float, float], target: float, steepest: float, bandwidth: float,
+    rise: float, duration: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Return mission time (s), rate and slope (1/s) of a clock after a short ``duration`` (s).
 
-    It follows a wanted slope at four times the bandwidth, the critically damped case: the rate does
-    not overshoot. It rises no faster than ``rise`` (1/s²), and falls likewise as the rate
+    The slope follows a wanted one at four times the bandwidth, the critically damped case: the rate
+    does not overshoot. It rises no faster than ``rise`` (1/s²), and falls likewise as the rate
     approaches its target; a slope in the wrong direction ends at once.
     """
+    time, rate, slope = clock
     left = abs(target - rate)
     near = rise / bandwidth**2
     wanted = bandwidth * left if left < near else np.sqrt(2.0 * rise * (left - 0.5 * near))
@@ -125,7 +126,9 @@ def next_slope(
     change = min(1.0, 4.0 * bandwidth * duration) * (wanted - slope)
     if slope * change >= 0.0:
         change = max(-rise * duration, min(rise * duration, change))
-    return float(slope + change)
+    after = slope + change
+    gained = 0.5 * (slope + after) * duration
+    return time + (rate + 0.5 * gained) * duration, rate + gained, after
 
 
 @compiled
@@ -138,12 +141,9 @@ def _write_courses(
     """
     bandwidth, rise = (URGENT_BANDWIDTH, np.inf) if urgent else (BANDWIDTH, SMOOTH)
     for c in range(len(times)):
-        time, rate, slope = times[c, 0], rates[0], 0.0
+        clock = times[c, 0], rates[0], 0.0
         for k in range(1, times.shape[1]):
-            sample = min(max(round((time - start) / _STEP), 0), len(limits) - 1)
+            sample = min(max(round((clock[0] - start) / _STEP), 0), len(limits) - 1)
             steepest = limits[sample] if urgent else min(limits[sample], ORDINARY)
-            after = next_slope(rate, slope, rates[1], steepest, bandwidth, rise, COURSE_STEP)
-            change = 0.5 * (slope + after) * COURSE_STEP
-            time += (rate + 0.5 * change) * COURSE_STEP
-            rate, slope = rate + change, after
-            times[c, k] = time
+            clock = moved_on(clock, rates[1], steepest, bandwidth, rise, COURSE_STEP)
+            times[c, k] = clock[0]

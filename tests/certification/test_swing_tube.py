@@ -31,10 +31,11 @@ from swarm.certification.swing_tube import (
     _ordinary_of,
     _pairs_of,
     _tube_of,
+    beyond_ordinary,
     swing_after_urgent_stops,
     swing_tube,
 )
-from swarm.certification.tube_radii import BIN, radii_over
+from swarm.certification.tube_radii import BIN, LEAVES, TubeRadii, radii_over
 from swarm.flight.clock import MissionClock
 from swarm.flight.flight_plan import basis_of
 from swarm.geometry.catenary import solve_catenaries
@@ -346,3 +347,18 @@ def test_without_a_limit_of_the_swing_clearances_are_quasi_static(shaped: Plan) 
     both = swinging.keys() & still.keys()
     assert len(both) >= 6
     assert all(swinging[name] < still[name] - 0.005 for name in both)
+
+
+def test_a_tube_that_other_stops_and_resumes_leave_is_refused(
+    shaped: Plan, tube: SwingTube
+) -> None:
+    inside = beyond_ordinary(shaped, tube.ordinary)
+    assert -0.03 < inside < 0.0
+    leaves = tube.ordinary.pieces[:, :, LEAVES:]
+    narrow = TubeRadii.of_leaves(tube.start, leaves + inside - 0.002)
+    assert beyond_ordinary(shaped, narrow) == pytest.approx(0.002)
+    (found,) = swing_findings(with_limit(shaped, 0.07), replace(tube, ordinary=narrow))
+    assert found.severity == "error"
+    assert found.message.endswith("; others, with twice the links, come 0.002 m out of their tube")
+    (quasi_static,) = swing_findings(with_limit(shaped, "auto"), replace(tube, ordinary=narrow))
+    assert quasi_static.severity == "info"
