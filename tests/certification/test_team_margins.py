@@ -141,7 +141,7 @@ def plan_for(kind: str) -> Plan:
     """A plan in which a vehicle nearly falls short of what a kind requires, fast, and goes back."""
     start, lengths, _, _ = MOVES[kind]
     near = place_with(kind, 0.06)
-    time = max(1.2, float(np.linalg.norm(near - start)) / 0.8)
+    time = max(1.6, float(np.linalg.norm(near - start)) / 0.6)
     return _plan(moving([0.0, time, 2.0 * time], [start, near, start]), lengths)
 
 
@@ -168,13 +168,14 @@ def test_a_loss_that_breaks_any_kind_limits_the_rate(kind: str) -> None:
     assert min(min(brute(plan, place).values()) for place in plan.motion.at(times)[0]) > 0.0
     found = certify_stream_loss(plan)
     assert found.rates.min() < 1.0
-    shown = [time for time in times if np.abs(found.infeasible - time).min(initial=1.0) > 0.5]
-    assert len(shown) >= 4
-    for time in shown:
+    assert not len(found.infeasible)
+    fastest = np.linalg.norm(plan.motion.at(np.linspace(0.0, times[-1], 500))[1], axis=2).max()
+    for time in times:
         position, velocity, _ = plan.motion.at(time)
         for share in (0.5, 1.0):
             flown_on = position.copy()
-            flown_on[vehicle] += 0.8 * share * found.rate_limit(time) * velocity[vehicle]
+            coast = (0.85 + 0.12 * fastest) * share * found.rate_limit(time)
+            flown_on[vehicle] += coast * velocity[vehicle]
             assert min(brute(plan, flown_on).values()) > -0.001
 
 
