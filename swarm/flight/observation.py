@@ -149,7 +149,8 @@ class Expected:
 
     ``setpoint`` and ``velocity`` (n, 3); ``streaming`` (n,) which vehicles get setpoints, ``armed``
     (n,) which must be armed, ``may_land`` (n,) which have been commanded to land. ``fallen`` are
-    vehicles that have been given up, ``rejoining`` those that return to offboard mode.
+    vehicles that have been given up, ``rejoining`` those that return to offboard mode, ``opening``
+    those that were to release outside the plan.
     ``start_height`` (n,) in metres is the height of the pads. ``cable`` is the state of the cable
     in the present phase. ``descending`` says whether the team descends outside the plan,
     ``waiting`` whether the clock waits at a gate, ``holds`` why it is held. ``rate`` (−1…1) is
@@ -165,6 +166,7 @@ class Expected:
     may_land: Flags
     fallen: frozenset[int]
     rejoining: frozenset[int]
+    opening: frozenset[int]
     start_height: Floats
     cable: CableState
     descending: bool

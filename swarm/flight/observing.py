@@ -65,7 +65,8 @@ def shift_frame(flight: FlightState, k: int, jump: Floats, kind: FailureKind) ->
         return
     by = np.zeros((len(flight.roster.rows), 3))
     by[k] = -jump
-    flight.placement = replace(placement, frames=placement.frames.shifted(by))
+    frames, moved = placement.frames.shifted(by), placement.moved | {k}
+    flight.placement = replace(placement, frames=frames, moved=moved)
     flight.observation = flight.observation.shifted(k, jump)
     flight.detectors.follow_frame(k, jump, kind)
 

@@ -109,12 +109,16 @@ class Roster:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The vehicles' frames, their yaw (n,) in radians, and where they started (n, 3)."""
+    """The vehicles' frames, their yaw (n,) in radians, and where they started (n, 3).
+
+    ``moved`` are vehicles whose frames have moved in flight, and may move on.
+    """
 
     frames: Frames | None
     yaw: Floats
     start_position: Floats
     audit: Audit | None = None
+    moved: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -182,11 +186,12 @@ class Contingency:
     ``since`` is when it began, ``step_since`` when its step began. ``target`` is the mission time
     to move to first (None: stop at once), ``moving_at`` when the team last moved, had arrived or
     waited for a silent vehicle. ``landing`` are the system ids of vehicles that were commanded to
-    land, ``on_ground_since`` since when they report the ground. ``staggered`` says that some
-    grippers open before the others; ``cornered`` that the team lands although neither landing nor
-    release is open; ``down_since`` is when all setpoints had come down. ``alone`` are the vehicles
-    that fly without setpoints, ``alone_since`` is since when it is these. ``waited`` is for how
-    many seconds the descent has paused for vehicles that stay above.
+    land, ``on_ground_since`` since when they report the ground. ``opening`` are the vehicles that
+    were to release; ``staggered`` says that some grippers open before the others; ``cornered`` that
+    the team lands although neither landing nor release is open; ``down_since`` is when all
+    setpoints had come down. ``alone`` are the vehicles that fly without setpoints, ``alone_since``
+    is since when it is these. ``waited`` is for how many seconds the descent has paused for
+    vehicles that stay above, or whose rotors turn on the ground below cable.
     """
 
     response: Response
@@ -197,6 +202,7 @@ class Contingency:
     moving_at: float = 0.0
     landing: frozenset[int] = frozenset()
     on_ground_since: Mapping[int, float] = field(default_factory=dict)
+    opening: frozenset[int] = frozenset()
     staggered: bool = False
     cornered: bool = False
     down_since: float | None = None
@@ -333,6 +339,7 @@ class FlightState:
             may_land=may_land,
             fallen=streams.fallen,
             rejoining=frozenset(streams.rejoining),
+            opening=contingency.opening if contingency is not None else frozenset(),
             start_height=self.placement.start_position[:, 2],
             cable=self.phase.cable,
             descending=self.guidance.descending,

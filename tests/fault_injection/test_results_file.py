@@ -44,7 +44,7 @@ trials = st.builds(
     problems=st.lists(st.text(), max_size=3).map(tuple),
     hidden_time=numbers,
     visible_time=numbers,
-    fall_strikes=st.integers(0, 2),
+    exempt_strikes=st.integers(0, 2),
 )
 case_trials = st.builds(
     CaseTrials,

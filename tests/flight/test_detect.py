@@ -56,7 +56,7 @@ def expected(**fields) -> Expected:
     values = {
         "setpoint": PLACES, "velocity": np.zeros((3, 3)), "streaming": np.full(3, True),
         "armed": np.full(3, True), "may_land": np.full(3, False), "fallen": frozenset(),
-        "rejoining": frozenset(), "start_height": np.zeros(3), "cable": "aloft",
+        "rejoining": frozenset(), "opening": frozenset(), "start_height": np.zeros(3), "cable": "aloft",
         "descending": False, "waiting": False, "holds": {}, "rate": 1.0, "rewinding": False,
         "allowed_error": 0.1, "monitored": None, "blocked": 0.0,
     }  # fmt: skip
@@ -227,6 +227,15 @@ def test_a_vehicle_that_a_fallen_neighbour_pulls_is_judged_by_whether_it_recover
     motion = MotionDetector(3, Latch(), cable=True)
     moments = [(10.0, DOWN * 0, OVER * 0, 10.0, free), (10.1, DOWN, OVER, 10.1, free)]
     assert flown(motion, moments, fallen=frozenset({1})) == [(10.1, FailureKind.FALLING, 0)]
+
+
+@pytest.mark.parametrize("recovers", [True, False])
+def test_a_vehicle_that_lets_go_of_a_caught_strand_is_judged_by_whether_it_recovers(recovers):
+    free, opening = [False] * 3, frozenset({0, 1})
+    moments = [(10.0, DOWN * 0, OVER * 0, 10.0, free), (10.1, DOWN, OVER, 10.1, free)]
+    moments += [(now, DOWN * (not recovers), OVER * 0, now, free) for now in (11.6, 11.7)]
+    found = flown(MotionDetector(3, Latch(), cable=True), moments, opening=opening)
+    assert found == ([] if recovers else [(11.7, FailureKind.FALLING, 0)])
 
 
 @pytest.mark.parametrize("cable", [True, False])

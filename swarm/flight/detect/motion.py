@@ -27,9 +27,9 @@ m/s of sinking that it has reached after 0.08 s, so that noise between two repor
 TURNED_OVER = math.radians(60.0)
 """Roll or pitch; PX4's own failure detector uses the same angle (FD_FAIL_R)."""
 RECOVERY = 1.5
-"""Seconds within which a vehicle that a lost neighbour pulled must recover, after the cable is
-released from it. A PX4 that was tilted to 50° did so within 0.5 s of its release; grippers open
-within as much again, and its own link may be late by 0.5 s."""
+"""Seconds within which a vehicle that a lost neighbour or a caught strand pulled must recover after
+its release. A PX4 that was tilted to 50° did so within 0.5 s; grippers open within as much again,
+and its own link may be late by 0.5 s."""
 UNHEARD = 0.2
 """Seconds of silence after which a neighbour may be the vehicle that falls: five reports and more
 are missing. Whether it is received again is known after FALLEN_SILENCE."""
@@ -45,8 +45,8 @@ and may still be none."""
 class MotionDetector:
     """Detects vehicles that fall, and positions that jump; remembers each vehicle's last report.
 
-    A vehicle that a lost neighbour pulls by the cable is judged by whether it recovers. Without
-    ``cable`` none is pulled.
+    A vehicle that a lost neighbour pulls by the cable, or that lets go of cable that may have held
+    it up, is judged by whether it recovers. Without ``cable`` none is pulled.
     """
 
     def __init__(self, n: int, reported: Latch, *, cable: bool) -> None:
@@ -111,7 +111,7 @@ class MotionDetector:
         which must be reported first.
         """
         since, cabled = self._note(seen, k)
-        if cabled and expected.cable in {"lifting", "aloft"}:
+        if (cabled or k in expected.opening) and expected.cable in {"lifting", "aloft"}:
             near = neighbours(seen, k)
             silent = [j for j in near if seen.silent_for(j) > UNHEARD and j not in expected.fallen]
             for j in silent:
@@ -120,7 +120,8 @@ class MotionDetector:
                 ):
                     return found
             earlier = [j for j in near if j in self._disturbed and self._disturbed[j][0] < since]
-            pulled = silent or earlier or not expected.fallen.isdisjoint(near)
+            lost = silent or earlier or not expected.fallen.isdisjoint(near)
+            pulled = lost or k in expected.opening
             if pulled and seen.now - since <= RECOVERY:
                 return []
         turned_over = tilt > TURNED_OVER

@@ -4,7 +4,7 @@ separate where the policy says so, descend together.
 All vehicles descend straight down at one speed, so that chords and levels keep.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,11 +17,14 @@ from swarm.flight.modes.rejoin import continue_rejoining, outside
 from swarm.flight.modes.transitions import change_stage
 from swarm.flight.modes.windows import (
     LONGEST_HOVER,
+    TOUCHDOWN,
     adrift,
+    held_by_cable,
     may_release_at,
     nearest_open,
     not_following,
     stays_above,
+    turning_below_cable,
     unanswering,
     waits_to_land,
     windows,
@@ -34,8 +37,6 @@ from swarm.flight.state import Contingency, FlightState
 from swarm.flight.streams import begin_rejoining, give_up, stop_stream, stop_streams_of_landing
 from swarm.mavlink.vehicle import Vehicle
 
-TOUCHDOWN = 0.05
-"""Height of a setpoint in metres at which a vehicle is commanded to land."""
 DISARM_AFTER = 5.0
 """Seconds on the ground after which a vehicle that has not disarmed by itself is commanded to."""
 RELEASE_TIMEOUT, FALLEN_RELEASE_TIMEOUT = 5.0, 1.5
@@ -158,8 +159,10 @@ def _approach(flight: FlightState) -> None:
     if flight.attached and end_of(contingency_of(flight).response, open_) is End.RELEASE:
         _begin_release(flight)
         return
-    if contingency_of(flight).response is Response.RELEASE_HERE and _release_caught(flight):
-        return
+    if contingency_of(flight).response is Response.RELEASE_HERE:
+        error = flight.observation.error
+        if _release_caught(flight, np.flatnonzero(error > SLOW_FROM * flight.allowed_error)):
+            return
     for k in contingency_of(flight).alone:
         if not (vehicle := flight.roster.vehicles[k]).in_manual_mode:
             _land(flight, k, vehicle)
@@ -193,22 +196,23 @@ def _release_all(flight: FlightState) -> None:
     _open_grippers(flight, range(len(flight.roster.vehicles)))
 
 
-def _release_caught(flight: FlightState) -> bool:
+def _release_caught(flight: FlightState, caught: Iterable[int]) -> bool:
     """Release where a strand is caught and beside it, unless cable hangs above a rotor there.
 
-    A caught strand would hold its vehicles in the air, while the team comes down. Return whether
-    there is such a place.
+    A caught strand would hold its vehicles in the air, while the team comes down. Where its
+    neighbours cannot release, it does so alone. Return whether there is such a place.
     """
-    n, error = len(flight.roster.vehicles), flight.observation.error
-    caught = np.flatnonzero(error > SLOW_FROM * flight.allowed_error).tolist()
-    order = list(dict.fromkeys(j for k in caught for j in (k, k - 1, k + 1) if 0 <= j < n))
-    if not flight.attached or not order or not may_release_at(flight, order):
-        return False
-    _change_step(flight, StepTrigger.RELEASE)
-    names = ", ".join(str(k + 1) for k in order)
-    flight.report("release", f"releasing where the cable is caught: vehicles {names}")
-    _open_grippers(flight, order)
-    return True
+    n = len(flight.roster.vehicles)
+    held = [k for k in caught if flight.roster.vehicles[k].gripped]
+    beside = [j for k in held for j in (k, k - 1, k + 1) if 0 <= j < n]
+    for order in (list(dict.fromkeys(beside)), held):
+        if order and may_release_at(flight, order):
+            _change_step(flight, StepTrigger.RELEASE)
+            names = ", ".join(str(k + 1) for k in order)
+            flight.report("release", f"releasing where the cable is caught: vehicles {names}")
+            _open_grippers(flight, order)
+            return True
+    return False
 
 
 def _release_fallen(flight: FlightState) -> None:
@@ -233,6 +237,8 @@ def _release_fallen(flight: FlightState) -> None:
 
 
 def _open_grippers(flight: FlightState, order: Sequence[int]) -> None:
+    contingency = contingency_of(flight)
+    flight.contingency = replace(contingency, opening=contingency.opening.union(order))
     for k in order:
         vehicle = flight.roster.vehicles[k]
         if not (flight.setup.commands_grippers and vehicle.gripped):
@@ -247,25 +253,27 @@ def _release(flight: FlightState) -> None:
     advance_clock(flight)
     flight.guidance.go_down(flight.timing.moving, 0.0)
     contingency, fallen = contingency_of(flight), flight.streams.fallen
-    holding = [
-        vehicle
+    holding = {
+        k: vehicle
         for k, vehicle in enumerate(flight.roster.vehicles)
         if vehicle.gripped and k not in fallen
-    ]
+    }
     waited = flight.now - contingency.step_since
     if contingency.staggered:
-        silent = any(vehicle in holding for vehicle in unanswering(flight))
+        silent = any(vehicle in holding.values() for vehicle in unanswering(flight))
         if not silent or waited > FALLEN_RELEASE_TIMEOUT:
             _release_all(flight)
         return
     at_rest = flight.clock.stopped and flight.guidance.at_rest
     if not at_rest and waited < RELEASE_TIMEOUT:
         return
+    closed = [vehicle for k, vehicle in holding.items() if k in contingency.opening]
     if not holding:
         _begin_separation(flight)
-    elif waited > (FALLEN_RELEASE_TIMEOUT if fallen else RELEASE_TIMEOUT):
-        names = ", ".join(flight.name(vehicle) for vehicle in holding)
-        flight.report("contingency", f"{names} still hold the cable: landing here")
+    elif not closed or waited > (FALLEN_RELEASE_TIMEOUT if fallen else RELEASE_TIMEOUT):
+        if closed:
+            names = ", ".join(flight.name(vehicle) for vehicle in closed)
+            flight.report("contingency", f"{names} still hold the cable: landing here")
         _begin_descent(flight, StepTrigger.STUCK)
 
 
@@ -333,17 +341,23 @@ def _begin_descent(flight: FlightState, trigger: StepTrigger) -> None:
 def _descend(flight: FlightState) -> None:
     """Command each vehicle to land when its setpoint has come down, and to disarm after that.
 
-    For a vehicle that stays above, the descent pauses for T; then the cable is released if it may.
+    For a vehicle that stays above, or whose rotors still turn on the ground below cable, the
+    descent pauses for T; then the cable is released for the first if it may. Where a caught strand
+    holds a vehicle back, it is released as soon as it may.
     """
     above, longest = stays_above(flight), flight.setup.fleet.limits.hold + LONGEST_HOVER
-    if above is not None and contingency_of(flight).waited > longest:
-        above = None
+    patient = contingency_of(flight).waited <= longest
+    if above is not None and not patient:
         release_if_open(flight)
-        if contingency_of(flight).step is not Step.DESCEND:
-            return
-    if above is not None:
-        _note_waiting(flight, above)
-    flight.guidance.go_down(flight.timing.moving, 1.0 if above is None else 0.0)
+    elif flight.attached and (held := held_by_cable(flight)):
+        _release_held(flight, held)
+    if contingency_of(flight).step is not Step.DESCEND:
+        return
+    turning = turning_below_cable(flight) if flight.attached and above is None else []
+    waits = patient and (above is not None or bool(turning))
+    if waits:
+        _note_waiting(flight, above, turning)
+    flight.guidance.go_down(flight.timing.moving, 0.0 if waits else 1.0)
     for k, vehicle in enumerate(flight.roster.vehicles):
         if not vehicle.armed:
             stop_stream(flight, k)
@@ -352,10 +366,21 @@ def _descend(flight: FlightState) -> None:
     stop_streams_of_landing(flight)
 
 
-def _note_waiting(flight: FlightState, above: Vehicle) -> None:
+def _release_held(flight: FlightState, held: Sequence[int]) -> None:
+    """Release a strand that holds vehicles back: everywhere, or there."""
+    release_if_open(flight)
+    if contingency_of(flight).step is Step.DESCEND:
+        _release_caught(flight, held)
+
+
+def _note_waiting(flight: FlightState, above: Vehicle | None, turning: Sequence[Vehicle]) -> None:
     contingency = contingency_of(flight)
-    if contingency.waited == 0.0:
+    if above is not None and contingency.waited == 0.0:
         words = f"{flight.name(above)} stays above the others, which wait for it"
+        flight.report("contingency", words)
+    elif turning and first_time(flight, 0, "turning below cable"):
+        names = ", ".join(flight.name(vehicle) for vehicle in turning)
+        words = f"waiting until the rotors below cable have stopped: {names}"
         flight.report("contingency", words)
     waited = contingency.waited + flight.timing.elapsed
     flight.contingency = replace(contingency, waited=waited)

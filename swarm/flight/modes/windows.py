@@ -16,8 +16,10 @@ LONGEST_HOVER, DESCENT_SPEED = 5.0, 0.2
 """Seconds for which the team waits until a vehicle that lands alone descends, and the speed in m/s
 from which it does: ArduPilot hovers for 4 s before the landing of a failsafe (LAND_WITH_DELAY_MS in
 its source). In a simulated flight, a team that descended at once pulled the cable taut there."""
+TOUCHDOWN = 0.05
+"""Height of a setpoint in metres at which a vehicle is commanded to land."""
 LAG = 0.5
-"""Metres by which a vehicle may stay above its place in a common descent: the largest tracking
+"""Metres by which a vehicle may stay off its place in a common descent: the largest tracking
 error of a vehicle that follows is 0.2 m in winds that plans allow for."""
 
 
@@ -39,9 +41,69 @@ def may_release(flight: FlightState) -> bool:
 
 def may_release_at(flight: FlightState, vehicles: Collection[int]) -> bool:
     """Return whether the strands beside some vehicles hang above no rotor: these would fall."""
-    above = above_rotors(flight.setup.plan, _places(flight))[0]
+    above = _above_rotors(flight)
     strands = {s for k in vehicles for s in (k - 1, k) if 0 <= s < above.shape[1]}
     return not above[:, sorted(strands)].any()
+
+
+def turning_below_cable(flight: FlightState) -> list[Vehicle]:
+    """Return the vehicles on the ground whose rotors still turn, with cable above them.
+
+    None while a vehicle flies alone: the others keep their heights above it as they descend.
+    """
+    if _any_flies_alone(flight):
+        return []
+    gripped = flight.observation.gripped
+    held = np.logical_and(gripped[:-1], gripped[1:])
+    below: npt.NDArray[np.bool_] = np.any(_above_rotors(flight)[:, held], axis=1)
+    return [
+        vehicle
+        for k, vehicle in enumerate(flight.roster.vehicles)
+        if below[k] and (vehicle.on_ground or flight.streams.setpoint[k, 2] <= TOUCHDOWN)
+    ]
+
+
+def held_by_cable(flight: FlightState) -> list[int]:
+    """Return the one or two vehicles that a caught strand holds back while the others descend.
+
+    They are aside or above by more than LAG, and by twice as much as any other: cable that comes to
+    lie on the floor pulls by 0.2 m. Those that land are held where they do not descend. Not while a
+    vehicle flies alone: it pulls its neighbours. Positions in a frame that moved show nothing.
+    """
+    if _any_flies_alone(flight):
+        return []
+    seen, streams, vehicles = flight.observation, flight.streams, flight.roster.vehicles
+    off = seen.position - streams.setpoint
+    off[:, 2] = np.maximum(off[:, 2], 0.0)
+    error = np.linalg.norm(off, axis=1)
+    flies = seen.armed & ~np.array([vehicle.on_ground for vehicle in vehicles])
+    flies &= streams.active | (seen.velocity[:, 2] > -DESCENT_SPEED)
+    flies[list(flight.placement.moved)] = False
+    error = np.where(flies & np.isfinite(error), error, 0.0)
+    far = error > LAG
+    held = 1 <= far.sum() <= 2 and error[~far].max(initial=0.0) < 0.5 * error[far].min()
+    return np.flatnonzero(far).tolist() if held else []
+
+
+def _any_flies_alone(flight: FlightState) -> bool:
+    """Return whether a vehicle in the air follows no setpoints, or may not.
+
+    Those that were commanded to land where their setpoints came down do not count.
+    """
+    vehicles, setpoint = flight.roster.vehicles, flight.streams.setpoint
+    down = [
+        k for k, one in enumerate(vehicles) if one.in_mode("land") and setpoint[k, 2] <= TOUCHDOWN
+    ]
+    alone = [vehicles[k] for k in not_following(flight) if k not in down] + unanswering(flight)
+    alone += [vehicle for vehicle in vehicles if not flight.received(vehicle)]
+    return any(vehicle.armed and not vehicle.on_ground for vehicle in alone)
+
+
+def _above_rotors(flight: FlightState) -> npt.NDArray[np.bool_]:
+    """Return above which turning rotors which strands are (n, n - 1)."""
+    above: npt.NDArray[np.bool_] = above_rotors(flight.setup.plan, _places(flight))[0]
+    above[~flight.observation.armed] = False
+    return above
 
 
 def _places(flight: FlightState) -> npt.NDArray[np.float64]:

@@ -35,7 +35,8 @@ class FaultTrial:
     - ``strand_distance`` and ``vehicle_distance``: the smallest distance between strands, and the
       smallest horizontal distance between vehicles that are not apart in height; metres, infinite
       where never evaluated. ``chord_ratio``: the largest chord over length.
-    - ``rotor_strikes`` on cable, ``fall_strikes`` of them within the case's ``fall_time``;
+    - ``rotor_strikes`` on cable, ``exempt_strikes`` of them as the case's ``fall_time`` and
+      ``own_strikes`` say;
       ``vehicles_lost``; ``end`` of the flight; ``problems``: the violated requirements.
     """
 
@@ -52,7 +53,7 @@ class FaultTrial:
     problems: tuple[str, ...]
     hidden_time: float = 0.0
     visible_time: float = 0.0
-    fall_strikes: int = 0
+    exempt_strikes: int = 0
 
 
 class GroundTruthMonitor:
@@ -109,10 +110,12 @@ class GroundTruthMonitor:
         else:
             self.visible_time += SAMPLE_INTERVAL
 
-    def rotor_strikes(self, until: float = np.inf) -> int:
-        """Return the number of rotor strikes on cable, up to a time of the flight."""
+    def rotor_strikes(self, until: float = np.inf, system: int | None = None) -> int:
+        """Return the number of rotor strikes on cable up to a time, of one vehicle or of all."""
         strikes = self._flight.emulator.truth().strikes[self._earlier_strikes :]
-        return sum(strike["time"] <= until for strike in strikes)
+        return sum(
+            strike["time"] <= until and system in {None, strike["vehicle"]} for strike in strikes
+        )
 
     def vehicles_lost(self) -> int:
         """Return the number of vehicles that crashed or collided with another vehicle."""
@@ -145,6 +148,8 @@ def evaluate(
 ) -> FaultTrial:
     """Return the trial of a fault whose flight has ended."""
     case, began = injection.case, injection.time
+    system = flight.conductor.flyers[injection.vehicle].system
+    falls = monitor.rotor_strikes(began + case.fall_time) if case.fall_time else 0
     events = [event for event in flight.events if event.kind in {"failure", "hold", "contingency"}]
     if case.station_fault:
         events += [event for event in flight.events if event.kind == "operator"]
@@ -169,7 +174,7 @@ def evaluate(
         problems=(),
         hidden_time=monitor.hidden_time,
         visible_time=monitor.visible_time,
-        fall_strikes=monitor.rotor_strikes(began + case.fall_time) if case.fall_time else 0,
+        exempt_strikes=monitor.rotor_strikes(system=system) if case.own_strikes else falls,
     )
     return replace(trial, problems=find_problems(flight, case, trial))
 
@@ -186,7 +191,7 @@ def find_problems(
     if trial.end not in case.allowed_ends:
         problems.append(f"ended as {trial.end}")
     problems += _detection_problem(case, trial)
-    strikes = trial.rotor_strikes - trial.fall_strikes
+    strikes = trial.rotor_strikes - trial.exempt_strikes
     allowed_strikes = case.allowed_strikes + (case.cannot_follow and _cornered(flight))
     allowed_strikes += case.lands_alone and _landed_alone_outside_window(flight, case, trial)
     if strikes > allowed_strikes and not case.loses_vehicle:

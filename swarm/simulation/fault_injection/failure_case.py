@@ -28,7 +28,8 @@ class FailureCase:
       moves vehicles or cable beyond the certificate. ``vehicle_drifts``: it does so with one
       vehicle, and with the cable only where it cannot be released.
     - ``allowed_strikes``: number of rotor strikes on cable that may happen; contacts of one vehicle
-      that are more than a second apart are several. With ``cannot_follow`` the vehicle
+      that are more than a second apart are several. With ``own_strikes`` those of the failed
+      vehicle, which drifts, are not counted. With ``cannot_follow`` the vehicle
       stays where it is and the others with it; one more strike may happen where the team can
       neither land nor release without cable on a rotor. With ``lands_alone`` the failsafes
       of the autopilots land the vehicles where they are; one more strike may happen where the
@@ -54,6 +55,7 @@ class FailureCase:
     moves_certified: bool = False
     vehicle_drifts: bool = False
     allowed_strikes: int = 0
+    own_strikes: bool = False
     cannot_follow: bool = False
     lands_alone: bool = False
     fall_time: float = 0.0
