@@ -150,13 +150,13 @@ class Expected:
     ``setpoint`` and ``velocity`` (n, 3); ``streaming`` (n,) which vehicles get setpoints, ``armed``
     (n,) which must be armed, ``may_land`` (n,) which have been commanded to land. ``fallen`` are
     vehicles that have been given up, ``rejoining`` those that return to offboard mode, ``opening``
-    those that were to release outside the plan.
-    ``start_height`` (n,) in metres is the height of the pads. ``cable`` is the state of the cable
-    in the present phase. ``descending`` says whether the team descends outside the plan,
-    ``waiting`` whether the clock waits at a gate, ``holds`` why it is held. ``rate`` (−1…1) is
-    the clock's; ``rewinding`` whether it runs backwards; ``allowed_error`` the tracking error in
-    metres at which it stands still; ``monitored`` the live monitor's latest sample. ``blocked`` is
-    for how many seconds a team that has left the plan could not move on to where it is to land.
+    those others that were to release outside the plan. ``start_height`` (n,) in metres is the
+    height of the pads. ``cable`` is the state of the cable in the present phase. ``descending``
+    says whether the team descends outside the plan, ``waiting`` whether the clock waits at a gate,
+    ``holds`` why it is held. ``rate`` (−1…1) is the clock's; ``rewinding`` whether it runs
+    backwards; ``allowed_error`` the tracking error in metres at which it stands still;
+    ``monitored`` the live monitor's latest sample. ``blocked`` is for how many seconds a team that
+    has left the plan could not move on to where it is to land.
     """
 
     setpoint: Floats

@@ -339,7 +339,7 @@ class FlightState:
             may_land=may_land,
             fallen=streams.fallen,
             rejoining=frozenset(streams.rejoining),
-            opening=contingency.opening if contingency is not None else frozenset(),
+            opening=(contingency.opening if contingency else frozenset()) - streams.fallen,
             start_height=self.placement.start_position[:, 2],
             cable=self.phase.cable,
             descending=self.guidance.descending,

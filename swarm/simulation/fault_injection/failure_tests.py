@@ -48,6 +48,10 @@ MAX_STRONG_WIND: Final = 15.0
 then, cable and gusts most of the rest: of 24 flights of `two_carry`, vehicles were lost in none in
 15 and in 16 m/s, in two in 17 m/s."""
 
+_SLOWED: Final = 8.0 / 9.0
+"""Share of the usual rate below which the clock has slowed: 0.8 of 0.9, and as much of a rate that
+lost setpoints limit."""
+
 _TIMES_PER_TASK: Final = 5
 _CASES_PER_TASK: Final = 13
 
@@ -245,7 +249,7 @@ def fly_fault_trial(flight: SteppedSimulation, case: FailureCase, vehicle: int) 
         if case.pilot_lands and conductor.stage == "contingency":
             flight.land_by_pilot(conductor.flyers[vehicle].system)
         usual_rate = min(0.9, rate, conductor.stream_loss.rate_limit(conductor.clock.time))
-        if slowed_after is None and abs(conductor.clock.rate) < usual_rate - 0.1:
+        if slowed_after is None and abs(conductor.clock.rate) < _SLOWED * usual_rate:
             slowed_after = flight.now - began
         if conductor.finished is not None:
             break
