@@ -189,9 +189,10 @@ class Contingency:
     land, ``on_ground_since`` since when they report the ground. ``opening`` are the vehicles that
     were to release; ``staggered`` says that some grippers open before the others; ``cornered`` that
     the team lands although neither landing nor release is open; ``down_since`` is when all
-    setpoints had come down. ``alone`` are the vehicles that fly without setpoints, ``alone_since``
-    is since when it is these. ``waited`` is for how many seconds the descent has paused for
-    vehicles that stay above, or whose rotors turn on the ground below cable.
+    setpoints had come down. ``alone`` are the vehicles that fly without setpoints, those excepted
+    whose setpoints have come down, ``alone_since`` is since when it is these. ``waited`` is for how
+    many seconds the descent has paused for vehicles that stay above, or whose rotors turn on the
+    ground below cable.
     """
 
     response: Response

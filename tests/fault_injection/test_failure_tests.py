@@ -21,6 +21,7 @@ from swarm.certification.stream_loss import StreamLossCertificate, StreamLossMod
 from swarm.flight.modes.contingency import leave_the_plan, release_fallen
 from swarm.flight.modes.windows import held_by_cable, turning_below_cable
 from swarm.flight.policy import LOSES_A_VEHICLE, TABLE, Response
+from swarm.flight.state import Contingency
 from swarm.mission import mission_for_knot, parse_mission
 from swarm.planning import digest
 from swarm.planning.candidates import make_plan
@@ -488,7 +489,7 @@ def test_a_vehicle_is_held_by_a_caught_strand_where_it_alone_is_off_by_more_than
     state.placement = replace(placement, moved=frozenset({1}))
     assert held(0.0, -1.0, 0.0) == []
     state.placement = placement
-    state.streams = replace(state.streams, active=np.array([True, False, True]))
+    state.contingency = flown_by_itself(1)
     assert held(0.0, -1.0, 0.0) == []
 
 
@@ -502,9 +503,9 @@ def test_a_vehicle_that_is_to_land_is_held_where_it_does_not_descend(speed, caug
     place = state.observation.position.copy()
     place[1] = *(place[1, :2] + 0.4), 0.0
     state.streams = replace(state.streams, setpoint=place, active=np.array([True, False, True]))
-    assert held_by_cable(state) == []  # it flies alone, in a mode of its own
-    land_mode(state.roster.vehicles[1])
     assert held_by_cable(state) == caught
+    state.contingency = flown_by_itself(1)
+    assert held_by_cable(state) == []
 
 
 def test_the_team_descends_onto_no_rotor_that_still_turns():
@@ -520,15 +521,16 @@ def test_the_team_descends_onto_no_rotor_that_still_turns():
         assert turning_below_cable(state) == turning
     state.streams = replace(state.streams, active=np.array([True, True, False]))
     state.observation.position[2] = place[2]
-    assert turning_below_cable(state) == []  # it flies alone, in a mode of its own
-    land_mode(state.roster.vehicles[2])
     assert turning_below_cable(state) == [state.roster.vehicles[2]]
+    state.contingency = flown_by_itself(2)
+    assert turning_below_cable(state) == []
+    state.contingency = None
     state.observation = replace(state.observation, armed=np.array([True, True, False]))
     assert turning_below_cable(state) == []
 
 
-def land_mode(vehicle):
-    vehicle.custom_mode = vehicle.autopilot.custom_mode("land")
+def flown_by_itself(k):
+    return Contingency(Response.LAND, since=0.0, step_since=0.0, alone=(k,))
 
 
 FIRST_STEPS = Path(__file__).parents[2] / "missions" / "first-steps"

@@ -345,6 +345,9 @@ def _descend(flight: FlightState) -> None:
     descent pauses for T; then the cable is released for the first if it may. Where a caught strand
     holds a vehicle back, it is released as soon as it may.
     """
+    contingency, height = contingency_of(flight), flight.streams.setpoint[:, 2]
+    alone = {*contingency.alone, *(k for k in not_following(flight) if height[k] > TOUCHDOWN)}
+    flight.contingency = replace(contingency, alone=tuple(sorted(alone)))
     above, longest = stays_above(flight), flight.setup.fleet.limits.hold + LONGEST_HOVER
     patient = contingency_of(flight).waited <= longest
     if above is not None and not patient:

@@ -88,14 +88,11 @@ def held_by_cable(flight: FlightState) -> list[int]:
 def _any_flies_alone(flight: FlightState) -> bool:
     """Return whether a vehicle in the air follows no setpoints, or may not.
 
-    Those that were commanded to land where their setpoints came down do not count.
+    Those whose setpoints ended as they came down, to let them land, do not count.
     """
-    vehicles, setpoint = flight.roster.vehicles, flight.streams.setpoint
-    down = [
-        k for k, one in enumerate(vehicles) if one.in_mode("land") and setpoint[k, 2] <= TOUCHDOWN
-    ]
-    alone = [vehicles[k] for k in not_following(flight) if k not in down] + unanswering(flight)
-    alone += [vehicle for vehicle in vehicles if not flight.received(vehicle)]
+    vehicles = flight.roster.vehicles
+    alone = [vehicles[k] for k in (flight.contingency.alone if flight.contingency else ())]
+    alone += [*unanswering(flight), *(one for one in vehicles if not flight.received(one))]
     return any(vehicle.armed and not vehicle.on_ground for vehicle in alone)
 
 
