@@ -138,7 +138,9 @@ class Strands:
         found = np.empty((len(states), samples, parts, *states.shape[2:]))
         found[:, 0] = states[:, 2 - parts :]
         drag = Drag(model.normal_drag, model.tangential_drag, *model.wind)
-        given = np.ascontiguousarray(states), np.ascontiguousarray(ends), self.segments
+        # those of one grip point next to each other: others would fill the caches
+        grips = np.ascontiguousarray(ends.swapaxes(1, 2))
+        given = np.ascontiguousarray(states), grips, self.segments
         swing_each(given, self.lengths / model.links, Steps(model.step, every), drag, found)
         return found
 

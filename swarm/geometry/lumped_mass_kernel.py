@@ -73,7 +73,7 @@ def swing_each(
     """Write the states of s strands in c motions to ``found`` (c, …, 1 or 2, s, joints, 3), after
     the first ones.
 
-    ``given`` are the first states (c, 2, s, joints, 3), the positions (c, k, n, 3) of the grip
+    ``given`` are the first states (c, 2, s, joints, 3), the positions (c, n, k, 3) of the grip
     points, and the numbers (s,) of those at which strands begin; ``lengths`` (s,) those of the
     links. With 1, only the last part of each state is written, the joints at that time.
     """
@@ -111,21 +111,30 @@ def _swing_together(
             for x in range(3):
                 rows[i, _NOW + x, w] = begun[motion[w], 0, strand[w], i, x]
                 rows[i, _AFTER + x, w] = begun[motion[w], 1, strand[w], i, x]
-    for k in range(1, ends.shape[1]):
+    for k in range(1, ends.shape[2]):
         for w in range(TOGETHER):
-            place = ends[motion[w], k]
+            grips = ends[motion[w]]
             for x in range(3):
-                places[0, x, w] = place[segments[strand[w]], x]
-                places[1, x, w] = place[segments[strand[w]] + 1, x]
+                places[0, x, w] = grips[segments[strand[w]], k, x]
+                places[1, x, w] = grips[segments[strand[w]] + 1, k, x]
         _step_freely(rows, places, drag, steps.step)
         _restore_links(rows, most)
         if k % steps.every == 0:
-            for w in range(TOGETHER):
-                sample = found[motion[w], k // steps.every]
-                for i in range(last + 1):
-                    for x in range(3):
-                        sample[0, strand[w], i, x] = rows[i, _NOW + x, w]
-                        sample[len(sample) - 1, strand[w], i, x] = rows[i, _AFTER + x, w]
+            _write_states(rows, chosen, k // steps.every, found)
+
+
+@inner
+def _write_states(rows: Floats, chosen: Chosen, sample: int, found: Floats) -> None:
+    """Write the states of strands to a sample, joint by joint as they are in memory."""
+    if _other_sizes(rows):
+        return
+    (motion, strand), last = chosen, found.shape[2] - 1
+    for i in range(len(rows)):
+        for w in range(TOGETHER):
+            for x in range(3):
+                if last > 0:
+                    found[motion[w], sample, 0, strand[w], i, x] = rows[i, _NOW + x, w]
+                found[motion[w], sample, last, strand[w], i, x] = rows[i, _AFTER + x, w]
 
 
 @inner
