@@ -147,8 +147,6 @@ def _write_strand_margins(
     team, strands = memory
     for k in range(len(moments)):
         _place(moments[k], team)
-        for i in range(len(strands.sampled)):
-            strands.sampled[i] = False
         asked = Query(-1, (0.0, 0.0, 0.0), -np.inf, SLOWING_MARGIN)
         strand_margins(asked, team, required, strands, found[0, k], found[1, k])
 

@@ -142,14 +142,17 @@ class Strands(NamedTuple):
     """Points (n − 1, k, 3) of the strands at a moment.
 
     ``bow`` (n − 1, k − 1) are the largest distances of pieces from the lines between their points;
-    ``sampled`` (n − 1,) tells which strands are computed. ``stray`` (n − 1,) is how far strands
+    ``ends`` (n − 1, 2, 3) are the grip points for which they are ``sampled`` (n − 1,), and for
+    which ``reach`` (n − 1, 2) is known, negative if not. ``stray`` (n − 1,) is how far strands
     swing from their catenaries. ``part`` (k, 3) and ``off`` (2, k − 1) are memory, the latter for
     how far the pieces of two strands may be elsewhere.
     """
 
     points: Floats3
     bow: Floats2
+    ends: Floats3
     sampled: Bools1
+    reach: Floats2
     stray: Floats1
     boxes: Floats2
     part: Floats2
@@ -158,11 +161,11 @@ class Strands(NamedTuple):
 
 def allocate_strands(n: int) -> Strands:
     """Return memory for the strands of n vehicles, which hang still."""
-    points = np.empty((n - 1, _PIECES + 1, 3))
-    sampled, stray = np.zeros(n - 1, dtype=np.bool_), np.zeros(n - 1)
+    points, ends = np.empty((n - 1, _PIECES + 1, 3)), np.full((n - 1, 2, 3), np.nan)
+    sampled, reach, stray = np.zeros(n - 1, dtype=np.bool_), np.empty((n - 1, 2)), np.zeros(n - 1)
     part, off = np.empty((_PIECES + 1, 3)), np.empty((2, _PIECES))
     bow, boxes = np.empty((n - 1, _PIECES)), np.empty((n - 1, 6))
-    return Strands(points, bow, sampled, stray, boxes, part, off)
+    return Strands(points, bow, ends, sampled, reach, stray, boxes, part, off)
 
 
 class Query(NamedTuple):
@@ -212,7 +215,6 @@ def cable_margins(
     """Lower the margins (KINDS,) to those of cable aloft; only of chords where one is too long."""
     position, count, half = team.position, len(required.lengths), asked.half
     for i in range(count):
-        strands.sampled[i] = False
         if asked.who in (-1, i, i + 1):
             chord = point_distance(position[i], position[i + 1])
             _lower(CHORDS, required.chord[i] - chord, _parting(half, team, i, i + 1), low, here)
@@ -230,11 +232,12 @@ def cable_margins(
                 _rest(team)
                 moved = _end_movement(half, team, i)
                 _lower(FENCE, inside - required.thin, moved, low, here)
-        for k in range(count + 1):
-            if (own or asked.who == k) and min(low[BODIES], low[DISCS]) >= asked.found:
+        first, last = (0, count + 1) if own else (asked.who, asked.who + 1)
+        for k in range(first, last):
+            if min(low[BODIES], low[DISCS]) >= asked.found:
                 if k in (i, i + 1):
                     _disc(k, i, half, team, required, strands, low, here)
-                else:
+                elif _near_body(k, i, low[BODIES] + required.bodies, team, required, strands):
                     _body(k, i, half, team, required, strands, low, here)
         if i + 1 < count and (own or asked.who == i + 2):
             _neighbours(i, half, team, required, strands, low, here)
@@ -279,7 +282,10 @@ def strand_margins(
 
 @inner
 def _write_boxes(half: Vector, team: Team, required: Required, strands: Strands) -> None:
-    """Write the movements of grip points in the team's frame, and the boxes around strands."""
+    """Write the movements of grip points in the team's frame, and the boxes around strands.
+
+    What is known of strands whose ends are elsewhere now is forgotten.
+    """
     for coordinate in range(3):
         for axis in range(3):
             team.frame[coordinate, axis] = 0.0
@@ -296,6 +302,10 @@ def _write_boxes(half: Vector, team: Team, required: Required, strands: Strands)
             box[axis] = min(start[axis], end[axis]) - spare
             box[3 + axis] = max(start[axis], end[axis]) + spare
         box[2] -= max_drop_below_ends(start, end, required.lengths[i], spare)
+        for axis in range(3):
+            if strands.ends[i, 0, axis] != start[axis] or strands.ends[i, 1, axis] != end[axis]:
+                strands.ends[i, 0, axis], strands.ends[i, 1, axis] = start[axis], end[axis]
+                strands.sampled[i], strands.reach[i, 0] = False, -1.0
 
 
 @inner
@@ -318,7 +328,7 @@ def _neighbours(
     moved, other_moved = _parting(half, team, i, j), _parting(half, team, j + 1, j)
     most = _whole(i, NEAR_END, moved, team, required)
     most += _whole(j, FAR_END, other_moved, team, required)
-    if _apart_in_plan(i, team, required) >= low[NEIGHBOURS] + required.strands + most:
+    if _apart_in_plan(i, team, required, strands) >= low[NEIGHBOURS] + required.strands + most:
         return
     _deviations(i, NEAR_END, moved, team, required, strands, off)
     _deviations(j, FAR_END, other_moved, team, required, strands, other_off)
@@ -335,7 +345,7 @@ def _neighbours(
 
 
 @inner
-def _apart_in_plan(i: int, team: Team, required: Required) -> float:
+def _apart_in_plan(i: int, team: Team, required: Required, strands: Strands) -> float:
     """Return a lower bound of the distance of two strands with a shared grip, in plan view.
 
     Beyond what is exempt. In plan view both lie straight: what is x metres from the grip is at
@@ -347,17 +357,24 @@ def _apart_in_plan(i: int, team: Team, required: Required) -> float:
     if spans <= 0.0:
         return 0.0
     share = min(abs(x * v - y * u) / spans, 1.0) if x * u + y * v > 0.0 else 1.0
-    near = _reach(start, grip, required.lengths[i], 1.0 - required.exempt[i, 0])
-    far = _reach(grip, end, required.lengths[i + 1], required.exempt[i, 1])
-    return share * min(math.hypot(x, y) - near, far)
+    _write_reach(i, team, required, strands)
+    _write_reach(i + 1, team, required, strands)
+    near, far = strands.reach[i, 1], strands.reach[i + 1, 0]
+    return float(share * min(math.hypot(x, y) - near, far))
 
 
 @inner
-def _reach(start: Floats, end: Floats, length: float, fraction: float) -> float:
-    """Return how far a point of a strand is from its start in plan view."""
-    strand = solve_catenary(start, end, length, LEAST_HALF_ANGLE)
-    turning = length / strand.parameter
-    return float(strand.parameter * offset_from(arc_start(strand.slope), fraction, turning)[0])
+def _write_reach(i: int, team: Team, required: Required, strands: Strands) -> None:
+    """Write how far from a strand's start, in plan view, what is exempt ends and begins, once."""
+    if strands.reach[i, 0] >= 0.0:
+        return
+    length, exempt = required.lengths[i], required.exempt
+    strand = solve_catenary(team.position[i], team.position[i + 1], length, LEAST_HALF_ANGLE)
+    begun, turning = arc_start(strand.slope), length / strand.parameter
+    begin = exempt[i - 1, 1] if i > 0 else 0.0
+    end = 1.0 - exempt[i, 0] if i < len(exempt) else 1.0
+    strands.reach[i, 0] = strand.parameter * offset_from(begun, begin, turning)[0]
+    strands.reach[i, 1] = strand.parameter * offset_from(begun, end, turning)[0]
 
 
 @inner
@@ -431,24 +448,29 @@ def _body(
     low: Floats, here: Floats,
 ) -> None:  # fmt: skip
     """Lower the margins to that of a vehicle's body and a strand that it does not hold."""
-    near, grip, spare = strands.boxes[i], team.position[k], team.moved[k]
-    enough, square = low[BODIES] + required.bodies, 0.0
+    _follow(half, team, k, k, i, i + 1)
+    of_body, of_ends = _movement(half, team, k), _end_movement(half, team, i)
+    moved = of_ends, of_body
+    apart = body_box_distance(team.position, required.lengths, (k, i), moved, required.body)
+    if apart < low[BODIES] + required.bodies:
+        _deviations(i, BOTH_ENDS, of_ends, team, required, strands, strands.off[0])
+        limits = required.bodies, of_body, 0.0
+        _from_body(BODIES, (k, i), limits, team, required, strands, low, here)
+
+
+@inner
+def _near_body(
+    k: int, i: int, enough: float, team: Team, required: Required, strands: Strands
+) -> bool:
+    """Return whether the boxes around a vehicle's body and a strand are nearer than ``enough``."""
+    near, grip, spare, square = strands.boxes[i], team.position[k], team.moved[k], 0.0
     for axis in range(3):
         aside, above = (required.body.radius, required.body.radius)
         if axis == 2:
             aside, above = 0.0, required.body.grip_offset
         gap = max(near[axis] - grip[axis] - above, grip[axis] - aside - near[3 + axis]) - spare
         square += max(gap, 0.0) ** 2
-    if square >= enough * enough:
-        return
-    _follow(half, team, k, k, i, i + 1)
-    of_body, of_ends = _movement(half, team, k), _end_movement(half, team, i)
-    moved = of_ends, of_body
-    apart = body_box_distance(team.position, required.lengths, (k, i), moved, required.body)
-    if apart < enough:
-        _deviations(i, BOTH_ENDS, of_ends, team, required, strands, strands.off[0])
-        limits = required.bodies, of_body, 0.0
-        _from_body(BODIES, (k, i), limits, team, required, strands, low, here)
+    return not square >= enough * enough
 
 
 @inner
