@@ -43,7 +43,7 @@ from swarm.geometry.sensitivity import (
 from swarm.geometry.vectors import Vector
 from swarm.jit import inner
 from swarm.planning import Plan
-from swarm.signatures import Bools1, Floats1, Floats2, Floats3, contiguous
+from swarm.signatures import Floats1, Floats2, Floats3, contiguous
 
 Floats = npt.NDArray[np.float64]
 
@@ -142,17 +142,15 @@ class Strands(NamedTuple):
     """Points (n − 1, k, 3) of the strands at a moment.
 
     ``bow`` (n − 1, k − 1) are the largest distances of pieces from the lines between their points;
-    ``ends`` (n − 1, 2, 3) are the grip points for which they are ``sampled`` (n − 1,), and for
-    which ``reach`` (n − 1, 2) is known, negative if not. ``stray`` (n − 1,) is how far strands
-    swing from their catenaries. ``part`` (k, 3) and ``off`` (2, k − 1) are memory, the latter for
-    how far the pieces of two strands may be elsewhere.
+    ``known`` (n − 1, 9) are the grip points of strands, two reaches (:func:`_reach`), negative
+    where they are not computed for these, and 1 where the points are. ``stray`` (n − 1,) is how far
+    strands swing from their catenaries. ``part`` (k, 3) and ``off`` (2, k − 1) are memory, the
+    latter for how far the pieces of two strands may be elsewhere.
     """
 
     points: Floats3
     bow: Floats2
-    ends: Floats3
-    sampled: Bools1
-    reach: Floats2
+    known: Floats2
     stray: Floats1
     boxes: Floats2
     part: Floats2
@@ -161,11 +159,11 @@ class Strands(NamedTuple):
 
 def allocate_strands(n: int) -> Strands:
     """Return memory for the strands of n vehicles, which hang still."""
-    points, ends = np.empty((n - 1, _PIECES + 1, 3)), np.full((n - 1, 2, 3), np.nan)
-    sampled, reach, stray = np.zeros(n - 1, dtype=np.bool_), np.empty((n - 1, 2)), np.zeros(n - 1)
+    points, known = np.empty((n - 1, _PIECES + 1, 3)), np.full((n - 1, 9), np.nan)
+    stray = np.zeros(n - 1)
     part, off = np.empty((_PIECES + 1, 3)), np.empty((2, _PIECES))
     bow, boxes = np.empty((n - 1, _PIECES)), np.empty((n - 1, 6))
-    return Strands(points, bow, ends, sampled, reach, stray, boxes, part, off)
+    return Strands(points, bow, known, stray, boxes, part, off)
 
 
 class Query(NamedTuple):
@@ -237,7 +235,10 @@ def cable_margins(
             if min(low[BODIES], low[DISCS]) >= asked.found:
                 if k in (i, i + 1):
                     _disc(k, i, half, team, required, strands, low, here)
-                elif _near_body(k, i, low[BODIES] + required.bodies, team, required, strands):
+                elif _near_body(
+                    strands.boxes[i], team.position[k], required.body,
+                    team.moved[k], low[BODIES] + required.bodies,
+                ):  # fmt: skip
                     _body(k, i, half, team, required, strands, low, here)
         if i + 1 < count and (own or asked.who == i + 2):
             _neighbours(i, half, team, required, strands, low, here)
@@ -302,10 +303,12 @@ def _write_boxes(half: Vector, team: Team, required: Required, strands: Strands)
             box[axis] = min(start[axis], end[axis]) - spare
             box[3 + axis] = max(start[axis], end[axis]) + spare
         box[2] -= max_drop_below_ends(start, end, required.lengths[i], spare)
+        same, known = True, strands.known[i]
         for axis in range(3):
-            if strands.ends[i, 0, axis] != start[axis] or strands.ends[i, 1, axis] != end[axis]:
-                strands.ends[i, 0, axis], strands.ends[i, 1, axis] = start[axis], end[axis]
-                strands.sampled[i], strands.reach[i, 0] = False, -1.0
+            same = same and known[axis] == start[axis] and known[3 + axis] == end[axis]
+            known[axis], known[3 + axis] = start[axis], end[axis]
+        if not same:
+            known[6] = known[7] = known[8] = -1.0
 
 
 @inner
@@ -357,24 +360,26 @@ def _apart_in_plan(i: int, team: Team, required: Required, strands: Strands) -> 
     if spans <= 0.0:
         return 0.0
     share = min(abs(x * v - y * u) / spans, 1.0) if x * u + y * v > 0.0 else 1.0
-    _write_reach(i, team, required, strands)
-    _write_reach(i + 1, team, required, strands)
-    near, far = strands.reach[i, 1], strands.reach[i + 1, 0]
-    return float(share * min(math.hypot(x, y) - near, far))
+    near = _reach(i, 7, 1.0 - required.exempt[i, 0], team, required, strands)
+    far = _reach(i + 1, 6, required.exempt[i, 1], team, required, strands)
+    return share * min(math.hypot(x, y) - near, far)
 
 
 @inner
-def _write_reach(i: int, team: Team, required: Required, strands: Strands) -> None:
-    """Write how far from a strand's start, in plan view, what is exempt ends and begins, once."""
-    if strands.reach[i, 0] >= 0.0:
-        return
-    length, exempt = required.lengths[i], required.exempt
-    strand = solve_catenary(team.position[i], team.position[i + 1], length, LEAST_HALF_ANGLE)
-    begun, turning = arc_start(strand.slope), length / strand.parameter
-    begin = exempt[i - 1, 1] if i > 0 else 0.0
-    end = 1.0 - exempt[i, 0] if i < len(exempt) else 1.0
-    strands.reach[i, 0] = strand.parameter * offset_from(begun, begin, turning)[0]
-    strands.reach[i, 1] = strand.parameter * offset_from(begun, end, turning)[0]
+def _reach(
+    i: int, which: int, fraction: float, team: Team, required: Required, strands: Strands
+) -> float:
+    """Return how far a point of a strand is from its start in plan view; at a place in ``known``.
+
+    The same point for the same place.
+    """
+    if strands.known[i, which] < 0.0:
+        length = required.lengths[i]
+        strand = solve_catenary(team.position[i], team.position[i + 1], length, LEAST_HALF_ANGLE)
+        turning = length / strand.parameter
+        along = offset_from(arc_start(strand.slope), fraction, turning)[0]
+        strands.known[i, which] = strand.parameter * along
+    return float(strands.known[i, which])
 
 
 @inner
@@ -459,15 +464,11 @@ def _body(
 
 
 @inner
-def _near_body(
-    k: int, i: int, enough: float, team: Team, required: Required, strands: Strands
-) -> bool:
-    """Return whether the boxes around a vehicle's body and a strand are nearer than ``enough``."""
-    near, grip, spare, square = strands.boxes[i], team.position[k], team.moved[k], 0.0
+def _near_body(near: Floats, grip: Floats, body: Body, spare: float, enough: float) -> bool:
+    """Return whether a body that moves by ``spare`` comes nearer than ``enough`` to a box (6,)."""
+    square = 0.0
     for axis in range(3):
-        aside, above = (required.body.radius, required.body.radius)
-        if axis == 2:
-            aside, above = 0.0, required.body.grip_offset
+        aside, above = (0.0, body.grip_offset) if axis == 2 else (body.radius, body.radius)
         gap = max(near[axis] - grip[axis] - above, grip[axis] - aside - near[3 + axis]) - spare
         square += max(gap, 0.0) ** 2
     return not square >= enough * enough
@@ -584,9 +585,9 @@ def _deviations(
 @inner
 def _sample(i: int, team: Team, required: Required, strands: Strands) -> None:
     """Write a strand's points, and the bows of its pieces, once."""
-    if strands.sampled[i]:
+    if strands.known[i, 8] > 0.0:
         return
-    strands.sampled[i] = True
+    strands.known[i, 8] = 1.0
     start, end, points = team.position[i], team.position[i + 1], strands.points[i]
     length = max(required.lengths[i], point_distance(start, end) / LARGEST_RATIO)
     sample_strand(start, end, length, points)
