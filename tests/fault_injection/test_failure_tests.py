@@ -131,6 +131,15 @@ def test_only_strikes_after_the_fall_are_a_problem():
     )
 
 
+def test_a_vehicle_that_lags_must_be_detected_once_it_has_left_its_radius():
+    late = "detected after 9.70 s, not within 2 s"
+    assert problems("lags", detected_after=9.7) == (late,)
+    assert problems("lags", detected_after=9.7, hidden_time=8.0, visible_time=1.7) == ()
+    assert problems("lags", detected_after=None, hidden_time=12.0, visible_time=1.7) == ()
+    never = ("not detected within 2 s",)
+    assert problems("lags", detected_after=None, hidden_time=10.0, visible_time=2.1) == never
+
+
 def test_a_vehicle_that_cannot_follow_may_strike_only_where_the_team_is_cornered():
     detected = {"detected_after": 0.2}
     assert problems("leaves offboard", cornered=True, **detected, rotor_strikes=1) == ()

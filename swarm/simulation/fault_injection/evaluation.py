@@ -59,15 +59,15 @@ class FaultTrial:
 class GroundTruthMonitor:
     """Measures distances, chords and contacts of the emulator from the fault on.
 
-    With the index of a ``slipping`` vehicle it also measures the seconds in which the slip has no
-    measurable effect (``hidden_time``) and in which it has one (``visible_time``); ``hidden`` is
-    true where it had none at the last sample.
+    Of a fault that ``may_be_hidden`` it also measures the seconds in which the fault has no effect
+    on the ``vehicle`` that must be detected (``hidden_time``) and in which it has one
+    (``visible_time``): a slip changes the pulls enough to be measured, another fault moves the
+    vehicle out of its tracking radius. ``hidden_slip``: a slip had none at the last sample.
     """
 
-    def __init__(self, flight: SteppedSimulation, slipping: int | None = None) -> None:
-        self._flight = flight
-        self._slipping = slipping
-        self.hidden_time, self.visible_time, self.hidden = 0.0, 0.0, False
+    def __init__(self, flight: SteppedSimulation, case: FailureCase, vehicle: int) -> None:
+        self._flight, self._case, self._vehicle = flight, case, vehicle
+        self.hidden_time, self.visible_time, self.hidden_slip = 0.0, 0.0, False
         self._monitor = Monitor(flight.flight_plan.plan)
         truth = flight.emulator.truth()
         self._earlier_strikes = len(truth.strikes)
@@ -77,14 +77,18 @@ class GroundTruthMonitor:
         self.strand_distance = self.vehicle_distance = np.inf
         self.chord_ratio = 0.0
 
-    def sample(self) -> None:
-        """Take a sample, at most one every :data:`SAMPLE_INTERVAL`."""
+    def sample(self, *, detected: bool = False) -> None:
+        """Take a sample, at most one every :data:`SAMPLE_INTERVAL`.
+
+        Once the fault is ``detected``, the seconds of its effect are not counted any more.
+        """
         flight = self._flight
         if flight.now < self._next_time:
             return
         self._next_time = flight.now + SAMPLE_INTERVAL
-        if self._slipping is not None and flight.conductor.stage == "execute":
-            self._sample_slip(self._slipping)
+        counts = self._case.may_be_hidden and not detected
+        if counts and flight.conductor.stage == "execute":
+            self._sample_effect()
         truth = flight.emulator.truth()
         position = truth.position
         flying = ~flight.emulator.bodies.tumbling & (position[:, 2] > _MIN_HEIGHT)
@@ -100,15 +104,21 @@ class GroundTruthMonitor:
             (clearances,) = self._monitor.clearances(position[None], "free")
             self.vehicle_distance = min(self.vehicle_distance, clearances.vehicle)
 
-    def _sample_slip(self, vehicle: int) -> None:
-        conductor = self._flight.conductor
+    def _sample_effect(self) -> None:
+        conductor, k = self._flight.conductor, self._vehicle
         state = conductor.state
-        visible = state.detectors.grip_slip.detectable(state.streams.setpoint)
-        self.hidden = not (conductor.phase.cable == "aloft" and bool(visible[vehicle]))
-        if self.hidden:
-            self.hidden_time += SAMPLE_INTERVAL
+        if any(fault["kind"] == "gripper_slip" for fault in self._case.faults):
+            detectable = state.detectors.grip_slip.detectable(state.streams.setpoint)
+            visible = conductor.phase.cable == "aloft" and bool(detectable[k])
+            self.hidden_slip = not visible
         else:
+            off = self._flight.emulator.truth().position[k] - state.streams.setpoint[k]
+            radius = self._flight.flight_plan.plan.mission.vehicles.tracking
+            visible = float(np.linalg.norm(off)) > radius
+        if visible:
             self.visible_time += SAMPLE_INTERVAL
+        else:
+            self.hidden_time += SAMPLE_INTERVAL
 
     def rotor_strikes(self, until: float = np.inf, system: int | None = None) -> int:
         """Return the number of rotor strikes on cable up to a time, of one vehicle or of all."""

@@ -22,7 +22,8 @@ class FailureCase:
       is lost. ``duration`` in seconds, 0 for a permanent fault.
     - ``detection_limit``: seconds within which the fault must be detected, None where no detection
       is required. It is detected by an event, or with ``slows_clock`` by a slower mission clock.
-      With ``may_be_hidden`` the time counts only while the fault has a measurable effect.
+      With ``may_be_hidden`` the time counts only while the fault has a measurable effect, or, but
+      for slips, while the vehicle is outside its tracking radius.
     - ``allowed_ends``: with ``pilot_lands`` a pilot lands the vehicle along with the team.
     - ``loses_vehicle``: the fault itself takes a vehicle out of the air. ``moves_certified``: it
       moves vehicles or cable beyond the certificate. ``vehicle_drifts``: it does so with one

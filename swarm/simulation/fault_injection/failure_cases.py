@@ -68,6 +68,8 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         detection_limit=2.0,
         needs_cable=True,
         slows_clock=True,
+        may_be_hidden=True,
+        explanation="a vehicle that keeps its tracking radius flies as certified",
     ),
     FailureCase(
         "weak thrust",

@@ -239,13 +239,13 @@ def fly_fault_trial(flight: SteppedSimulation, case: FailureCase, vehicle: int) 
     mission_time = conductor.clock.time
     _inject(flight, case, vehicle)
     rate = conductor.clock.rate
-    monitor = GroundTruthMonitor(flight, vehicle if case.may_be_hidden else None)
+    monitor = GroundTruthMonitor(flight, case, vehicle)
     slowed_after: float | None = None
     undisturbed_since = began + case.duration
     while flight.now < began + MAX_TRIAL_TIME:
         stalled = case.station_fault == "stalled" and flight.now < began + case.duration
         flight.step(station=not stalled and case.station_fault != "killed")
-        monitor.sample()
+        monitor.sample(detected=case.slows_clock and slowed_after is not None)
         if case.pilot_lands and conductor.stage == "contingency":
             flight.land_by_pilot(conductor.flyers[vehicle].system)
         usual_rate = min(0.9, rate, conductor.stream_loss.rate_limit(conductor.clock.time))
@@ -257,7 +257,10 @@ def fly_fault_trial(flight: SteppedSimulation, case: FailureCase, vehicle: int) 
             if not flight.emulator.truth().armed.any():
                 break
         elif (
-            conductor.stage != "execute" or conductor.holding or conductor.waiting or monitor.hidden
+            conductor.stage != "execute"
+            or conductor.holding
+            or conductor.waiting
+            or monitor.hidden_slip
         ):
             undisturbed_since = flight.now
         elif flight.now - undisturbed_since > OBSERVATION_TIME and conductor.clock.rate > 0.05:
