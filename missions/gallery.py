@@ -16,9 +16,9 @@ from swarm.mission import parse_mission
 from swarm.planning import Plan
 from swarm.planning.candidates import make_plan
 from swarm.reports.animation import animate_plan
+from swarm.reports.flight_report import plot_shaping
 from swarm.reports.plots import plot_plan
 from swarm.reports.schedule_plots import plot_schedule
-from swarm.reports.swing_plots import plot_shaping
 from swarm.view.replay import write_plan
 from swarm.view.screenshot import ScreenshotFailed, screenshot
 

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from sitl.autopilots import services, streams
-from sitl.autopilots.ardupilot.autopilot import ArduPilot
-from sitl.autopilots.batteries import discharge
-from sitl.autopilots.px4.autopilot import Px4
+from sitl.autopilots.ardupilot import ArduPilot
+from sitl.autopilots.px4 import Px4
+from sitl.autopilots.telemetry import discharge
 from sitl.cable.grips import free_motion, holders
 from sitl.cable.swinging import AnyRope, SwingingRope, make_rope
 from sitl.faults.injector import Injector
@@ -29,7 +29,7 @@ from sitl.physics.geodesy import Geodesy
 from sitl.protocol import wire
 from sitl.protocol.incoming import Incoming, Received
 from sitl.protocol.links import Link
-from sitl.protocol.start_parameters import start_with_given
+from sitl.protocol.parameter_protocol import start_with_given
 from sitl.protocol.vehicle import Environment, Vehicle
 from sitl.truth import Truth
 from sitl.world import World

@@ -13,8 +13,7 @@ from click.shell_completion import BashComplete
 
 from sitl.__main__ import command as emulator
 from swarm.cli.completion import VARIABLE
-from swarm.cli.main import COMMANDS, SECTIONS, cli
-from swarm.cli.old_spelling import current_spelling
+from swarm.cli.main import COMMANDS, SECTIONS, cli, current_spelling
 from tests.command import run
 
 PROGRAM = Path(sys.executable).parent / "swarm"

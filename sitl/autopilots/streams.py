@@ -1,11 +1,9 @@
 """Telemetry: sending of one message, and of the streams that are due."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from heapq import heappop, heapreplace
 
 from sitl.autopilots import telemetry
-from sitl.autopilots.ardupilot import tables as ardupilot_tables
-from sitl.autopilots.px4 import tables as px4_tables
 from sitl.protocol import wire
 from sitl.protocol.links import Link
 from sitl.protocol.vehicle import Vehicle
@@ -36,10 +34,9 @@ def send_now(v: Vehicle, *names: str) -> None:
             send_message(v, name, link)
 
 
-def default_streams(v: Vehicle, link: Link) -> dict[str, float]:
+def default_streams(v: Vehicle, link: Link) -> Mapping[str, float]:
     """Return the rates (Hz) of the messages that the autopilot sends on this kind of link."""
-    table = px4_tables.STREAMS if v.spec.autopilot == "px4" else ardupilot_tables.STREAMS
-    return table[link.kind]
+    return v.autopilot.streams[link.kind]
 
 
 def send_due(links: Iterable[tuple[Vehicle, Link]], now: float) -> None:

@@ -1,6 +1,6 @@
 """Compiled statics of spans: catenaries, forces, stretch, positions of samples.
 
-The formulae are those of `sitl.cable.spans`. The loops run over spans: for eight spans, some sixty
+The formulae are those of `sitl.cable.rope`. The loops run over spans: for eight spans, some sixty
 small array operations would take twenty times as long.
 """
 
@@ -25,7 +25,7 @@ _CONVERGED, _ITERATIONS = 1e-6, 12
 
 DISTANCE, RISE, PARAMETER, START_ARC, STOP_ARC, USED, STRETCH, LENGTH, RESTING = range(9)
 ROWS = 9
-"""Rows of a solution (ROWS, m); `sitl.cable.spans.SolvedSpans` explains them."""
+"""Rows of a solution (ROWS, m); `sitl.cable.rope.SolvedSpans` explains them."""
 
 
 @compiled

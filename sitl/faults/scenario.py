@@ -7,7 +7,7 @@
 
 Times are emulated seconds since the start. A fault without ``duration`` is permanent.
 ``MAV_CMD_INJECT_FAILURE`` (for external test tools) and ``SIM_*`` parameters inject the same
-faults: see `sitl.faults.mapping`.
+faults: see `sitl.faults.injector`.
 
 A frozen autopilot receives nothing, sends nothing and checks no timers; its controller continues
 with the last goal. A rebooting one stops its motors. ``rc_loss`` has an effect if the world file

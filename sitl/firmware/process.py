@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from sitl.firmware import ardupilot_json
 from sitl.firmware import positioning as sources
+from sitl.firmware.ardupilot import PORT, PORT_STEP
 from sitl.firmware.positioning import Positioning
 from sitl.world import Capture, Origin
 
@@ -99,7 +99,7 @@ class Start:
     @property
     def physics(self) -> int:
         """The UDP port on loopback of an ArduPilot's physics."""
-        return ardupilot_json.PORT + ardupilot_json.PORT_STEP * self.instance
+        return PORT + PORT_STEP * self.instance
 
 
 def command(start: Start, origin: Origin) -> list[str]:
@@ -119,7 +119,7 @@ def command(start: Start, origin: Origin) -> list[str]:
 
 
 def _radio(start: Start) -> int:
-    return _RADIO + ardupilot_json.PORT_STEP * start.instance
+    return _RADIO + PORT_STEP * start.instance
 
 
 def parameters(start: Start) -> str:

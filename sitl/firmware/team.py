@@ -1,25 +1,148 @@
-"""Start and end real autopilots together with the world that is their physics."""
+"""Start and end real autopilots together with the world that is their physics, in lockstep."""
 
 import contextlib
 import errno
 import math
+import select
 import socket
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sitl.emulator import Emulator
-from sitl.firmware import process, px4_process
-from sitl.firmware.ardupilot_port import ArduPilotPort
-from sitl.firmware.exchange import Exchange, Port
+from sitl.firmware import process
+from sitl.firmware.ardupilot import ArduPilotPort
 from sitl.firmware.positioning import Positioning
 from sitl.firmware.process import Launch, Need, Processes, Start
-from sitl.firmware.px4_port import Px4Port, connect_all
+from sitl.firmware.px4 import Px4Port, connect_all, launch_px4
 from sitl.firmware.selection import Firmware, FirmwareError
 from sitl.firmware.sensors import SensorFaults
+from sitl.physics.dynamics import STEP
+from sitl.physics.rigid_bodies import MOTORS, SUBSTEPS, RigidBodies
 from sitl.protocol.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+_PATIENCE = 1.0
+"""Seconds of real time that the world waits for an autopilot; then its outputs stay as they are."""
+
+
+class Port(Protocol):
+    """One autopilot's connection and its latest outputs.
+
+    ``row`` is that of its rigid body; ``command`` (4,) are its motors between 0 and 1; ``fresh``:
+    they answer the latest sensor values; ``silent``: none came in time, because it has not booted
+    or its process has ended, so the world does not wait for it; ``ended``: none will come.
+    """
+
+    row: int
+    fresh: bool
+    silent: bool
+    ended: bool
+    command: Array
+
+    def fileno(self) -> int:
+        """Return the descriptor to wait at."""
+
+    def receive(self) -> None:
+        """Take what has come."""
+
+    def answer(self, at: float, state: Array, measured: Array) -> None:
+        """Send what the vehicle measures at ``at`` seconds, if it is expected."""
+
+    def end(self) -> None:
+        """Note that the process has ended: its outputs are off."""
+
+    def grip(self) -> bool | None:
+        """Return whether the gripper shall close (True) or open (False); None: stay."""
+
+    def close(self) -> None:
+        """Close the sockets."""
+
+
+class Exchange:
+    """The connections of all vehicles with real firmware; `advance` takes the world on."""
+
+    def __init__(
+        self,
+        emulator: Emulator,
+        outside: RigidBodies,
+        ports: Sequence[Port],
+        ended: Callable[[], Sequence[int]] = tuple,
+    ) -> None:
+        """``ended`` returns the numbers of the ports whose processes have ended."""
+        self.emulator, self.outside = emulator, outside
+        self.ports = ports
+        self._ended = ended
+        self._poll = select.poll()
+        self._command = np.zeros((len(ports), MOTORS))
+        for port in ports:
+            self._poll.register(port.fileno(), select.POLLIN)
+        self._by_descriptor = {port.fileno(): port for port in ports}
+
+    def advance(self, now: float) -> None:
+        """Advance the world and all autopilots to ``now``, seconds of emulated time."""
+        emulator = self.emulator
+        while emulator.time + STEP <= now + 1e-9:
+            for k in range(SUBSTEPS):
+                self._collect()
+                emulator.advance_outside(self._command, k * STEP / SUBSTEPS)
+                at = emulator.time + (k + 1) * STEP / SUBSTEPS
+                for port in self.ports:
+                    row = port.row
+                    port.answer(at, self.outside.state[row], self.outside.measured[row])
+            emulator.advance(emulator.time + STEP)
+            self._move_grippers()
+
+    def _collect(self) -> None:
+        """Wait until every autopilot that runs has sent its outputs."""
+        deadline = time.monotonic() + _PATIENCE
+        missing = sum(not port.fresh and not port.silent for port in self.ports)
+        while True:
+            left = deadline - time.monotonic()
+            ready = self._poll.poll(1000.0 * max(left, 0.0) if missing else 0.0)
+            for descriptor, _ in ready:
+                port = self._by_descriptor[descriptor]
+                expected = not port.fresh and not port.silent
+                port.receive()
+                missing -= expected and (port.fresh or port.silent)
+                self._command[port.row] = port.command
+                if port.ended:
+                    self._poll.unregister(descriptor)
+            if missing <= 0:
+                return
+            if left <= 0.0:
+                for port in self.ports:
+                    port.silent = not port.fresh
+                for number in self._ended():
+                    self._stop(self.ports[number])
+                return
+
+    def _stop(self, port: Port) -> None:
+        """Turn off the outputs of an autopilot whose process has ended."""
+        port.end()
+        self._command[port.row] = port.command
+
+    def _move_grippers(self) -> None:
+        """Close and open grippers as the autopilots' outputs say."""
+        for port in self.ports:
+            gripper = self.emulator.vehicles[int(self.outside.rows[port.row])].gripper
+            closed = port.grip() if gripper.installed else None
+            if closed is not None and closed != (gripper.gripped or gripper.closed):
+                gripper.move(closed)
+                # jaws that missed the cable stay closed without it
+                gripper.closed = closed and not gripper.gripped
+
+    def close(self) -> None:
+        """Close every socket."""
+        for port in self.ports:
+            port.close()
+
 
 _BOOT_TIMEOUT = 60.0
 """Seconds until each PX4 must have connected; it takes 0.2 s on an idle machine."""
@@ -130,7 +253,7 @@ def _faults_of(vehicle: Vehicle) -> Callable[[], SensorFaults]:
 def _launch(emulator: Emulator, vehicle: Vehicle, start: Start) -> Launch:
     if vehicle.spec.autopilot == "ardupilot":
         return process.launch(start, emulator.world.origin)
-    return px4_process.launch(start, vehicle.spec.radius)
+    return launch_px4(start, vehicle.spec.radius)
 
 
 def _connect(ports: list[Port], flown: list[Vehicle], processes: Processes, folder: Path) -> None:

@@ -1,14 +1,63 @@
-"""The parameter protocol: list, read, set; SIM_* parameters inject faults."""
+"""The parameter protocol: list, read, set; parameters that a world gives; SIM_* parameters.
+
+SIM_* parameters inject faults (`sitl.faults.injector`); both autopilots have all of them.
+ArduPilot's names keep ArduPilot's meanings; the other names exist in this emulator only.
+"""
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from pydantic import ValidationError
 
 from sitl.protocol import wire
 from sitl.protocol.links import Link
+from sitl.protocol.parameters import REAL32
 from sitl.protocol.vehicle import Vehicle, addressed
+from sitl.world import WorldError
+
+
+def start_with_given(vehicles: Iterable[Vehicle]) -> None:
+    """Set the parameters of the world's vehicles, but those of real firmware, which reads them.
+
+    Raises `WorldError` with every parameter that the emulated autopilot does not have, and every
+    value with a fraction for an integer parameter.
+    """
+    errors: list[str] = []
+    for vehicle in vehicles:
+        for name, value in ({} if vehicle.frozen else vehicle.spec.parameters).items():
+            place = f"vehicle {vehicle.system}: parameters.{name}"
+            if name not in vehicle.parameters.values:
+                kind = vehicle.spec.autopilot
+                errors.append(
+                    f"{place}: expected a parameter of the emulated {kind}, got an unknown one"
+                )
+            elif vehicle.parameters.kinds[name] == REAL32:
+                set_parameter(vehicle, name, value)
+            elif value == round(value):
+                set_parameter(vehicle, name, round(value))
+            else:
+                errors.append(f"{place}: expected an integer, got {value:g}")
+    if errors:
+        raise WorldError("\n".join(errors))
+
+
+OF_ARDUPILOT: dict[str, float | int] = {
+    "SIM_BARO_DRIFT": 0.0, "SIM_BATT_VOLTAGE": 0.0, "SIM_ENGINE_FAIL": 0, "SIM_ENGINE_MUL": 1.0,
+    "SIM_GPS1_ENABLE": 1, "SIM_GPS1_GLTCH_X": 0.0, "SIM_GPS1_GLTCH_Y": 0.0,
+    "SIM_GPS1_GLTCH_Z": 0.0, "SIM_RC_FAIL": 0, "SIM_UART_LOSS": 0.0, "SIM_WIND_DIR": 180.0,
+    "SIM_WIND_SPD": 0.0, "SIM_WIND_TURB": 0.0,
+}  # fmt: skip
+OWN: dict[str, float | int] = {
+    "SIM_ARM_REFUSE": 0, "SIM_CLOCK_MUL": 1.0, "SIM_DISARM": 0, "SIM_FREEZE": 0.0,
+    "SIM_GRIP_FAIL": 0, "SIM_LANDED": 0, "SIM_LEAVE": 0, "SIM_LINK_BANDW": 0.0,
+    "SIM_LINK_BURST": 0.0, "SIM_LINK_DELAY": 0.0, "SIM_LINK_DIR": 0, "SIM_LINK_DUP": 0.0,
+    "SIM_LINK_JITTER": 0.0, "SIM_LINK_LOSS": 0.0, "SIM_LINK_REORD": 0.0, "SIM_ORIGIN_E": 0.0,
+    "SIM_ORIGIN_N": 0.0, "SIM_PILOT": 0, "SIM_POS_LOSS": 0, "SIM_REBOOT": 0, "SIM_SNAG_ARC": -1.0,
+    "SIM_SNAG_HOLD": 0.0,
+}  # fmt: skip
+SIM_PARAMETERS = OF_ARDUPILOT | OWN
+
 
 PARAMETERS_PER_UPDATE = 20
 """PARAM_VALUE messages per update of the autopilot, 25 times a second."""

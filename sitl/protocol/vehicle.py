@@ -1,13 +1,15 @@
 """State of one emulated vehicle: links, clock, local origin, parameters, mission and battery.
 
 No input or output: handlers of messages change the state, frames wait in `Link.outgoing`.
+
+`Autopilot` is the interface of all that differs between PX4 and ArduPilot.
 """
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from pymavlink.dialects.v20 import common as dialect
@@ -15,13 +17,123 @@ from pymavlink.dialects.v20 import common as dialect
 from sitl.physics.dynamics import Bodies
 from sitl.physics.geodesy import Geodesy
 from sitl.protocol import wire
-from sitl.protocol.autopilot import Autopilot
 from sitl.protocol.fences import Area
 from sitl.protocol.gripper import Gripper
-from sitl.protocol.links import ACCEPTED, FAILED, Link
-from sitl.protocol.mission_progress import MissionProgress
+from sitl.protocol.links import ACCEPTED, FAILED, Command, Link
 from sitl.protocol.parameters import Parameters
 from sitl.world import VehicleSpec, World
+
+
+class MissionProgress:
+    """The current mission item, its goal (world ENU) and timers; ``first`` is the start item."""
+
+    def __init__(self, first: int) -> None:
+        self.first = first
+        self.restart()
+
+    def restart(self) -> None:
+        """Return to the first item."""
+        self.seq = self.first
+        self.goal: Any = None
+        self.wait_until: float | None = None
+        self.jumps: dict[int, int] = {}
+
+    def jump_to(self, seq: int, count: int) -> bool:
+        """Continue with another item of ``count``; return False if it does not exist."""
+        if not 0 <= seq < count:
+            return False
+        self.seq = max(seq, self.first)
+        self.goal = self.wait_until = None
+        return True
+
+    def advance(self) -> None:
+        """Continue with the next item."""
+        self.seq += 1
+        self.goal = self.wait_until = None
+
+
+class Autopilot(Protocol):
+    """Modes, commands, setpoints and failsafes of one vehicle."""
+
+    landing: bool
+    pilot: bool
+    """A pilot controls the vehicle."""
+    has_origin: bool
+    """The estimator has a global origin."""
+
+    @property
+    def streams(self) -> Mapping[str, Mapping[str, float]]:
+        """Default rates of messages in Hz, by kind of link and name."""
+        ...
+
+    def handle_command(self, command: Command) -> int | None:
+        """Execute a command; return its MAV_RESULT, None for an unknown command."""
+
+    def handle_setpoint(self, setpoint: wire.Setpoint) -> None:
+        """Accept or ignore a setpoint of position, velocity and acceleration."""
+
+    @property
+    def follows_setpoints(self) -> bool:
+        """Whether the vehicle follows setpoints of all axes: another one changes only the goal."""
+        ...
+
+    def note_setpoint(self, data: bytes, now: float) -> None:
+        """Record a setpoint packet whose goal is already set, while `follows_setpoints`."""
+
+    def set_mode(self, base: int, custom: int) -> int:
+        """Execute the legacy message SET_MODE; return the MAV_RESULT."""
+        ...
+
+    def update(self) -> float:
+        """Check timers and conditions; return the time of the next check if no event occurs."""
+        ...
+
+    def custom_mode(self) -> int:
+        """Return HEARTBEAT.custom_mode."""
+        ...
+
+    def base_mode(self) -> int:
+        """Return HEARTBEAT.base_mode."""
+        ...
+
+    def ready_to_arm(self) -> bool:
+        """Return the pre-arm bit: arming would succeed."""
+        ...
+
+    @property
+    def failsafe_active(self) -> bool:
+        """Whether HEARTBEAT reports an active failsafe."""
+        ...
+
+    @property
+    def taking_off(self) -> bool:
+        """Whether EXTENDED_SYS_STATE reports a take-off."""
+        ...
+
+    @property
+    def logging(self) -> bool:
+        """Whether the autopilot writes its log."""
+        ...
+
+    def parameter_changed(self, name: str) -> None:
+        """Apply a parameter that PARAM_SET changed."""
+
+    def restart(self) -> None:
+        """Boot."""
+
+    def pilot_override(self) -> None:
+        """Select a manual mode, as a pilot's sticks or switch do."""
+
+    def leave_offboard(self) -> None:
+        """Leave the mode that follows setpoints."""
+
+    def arm(self, force: bool) -> int:
+        """Arm if the checks pass; return the MAV_RESULT."""
+        ...
+
+    def disarm(self, reason: str) -> None:
+        """Stop the motors immediately."""
+
 
 _TEXT_LENGTH = 50
 _BOOT_SILENCE = 3.0

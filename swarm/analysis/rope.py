@@ -8,8 +8,14 @@ diameter.
 A simulated rope can pass through itself. Therefore penetration, stretch and speed are checked, and
 beyond the stated limits a run is invalid. A run without contact is invalid too: its last hanging
 shape alone would determine the knot.
+
+It is compared with bounds on the movement of strands by sway and by a stop, in any direction, with
+the models of the budget, which counts the movement along the line between two strands, at its
+tightest moments. Neither model includes residual swing: a strand leans with the present
+acceleration of its ends, and swings after one stop from rest.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
@@ -18,8 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.analysis.rope_model import STEP, TIGHTENING_STEP, Conditions, Extremes, Grips, Rope
-from swarm.analysis.swing import largest_swings
-from swarm.certification.budget import NEARLY_STRAIGHT
+from swarm.certification.budget import DIRECTIONS, NEARLY_STRAIGHT, effective_gravity
 from swarm.certification.topology import ties_planned_knot
 from swarm.errors import Refused, SwarmError
 from swarm.geometry.catenary import solve_catenaries
@@ -29,6 +34,35 @@ from swarm.knots.invariants import identify_curve
 from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]
+
+_FRACTIONS: Final = np.linspace(0.0, 1.0, 33)
+"""Points of a strand whose movement is compared: 10 cm apart on a strand of 3 m."""
+
+
+def largest_swings(
+    positions: Floats, acceleration: Floats, lengths: Floats, braking: float
+) -> Floats:
+    """Return the largest movement (m,) of each of m strands, metres.
+
+    ``positions`` and ``acceleration`` (m + 1, 3) are of the grip points, m and m/s²; ``lengths``
+    (m,) of the strands; ``braking`` in m/s² is the braking reserve of all vehicles.
+    """
+    start, end = positions[:-1], positions[1:]
+    drawn = np.maximum(lengths, np.linalg.norm(end - start, axis=1) / NEARLY_STRAIGHT)
+
+    def movement(by: Floats) -> Floats:
+        leaning = solve_catenaries(start, end, drawn, down=effective_gravity(by)).points(_FRACTIONS)
+        farthest: Floats = np.linalg.norm(leaning - still, axis=-1).max(axis=-1)
+        return farthest
+
+    still = solve_catenaries(start, end, drawn).points(_FRACTIONS)
+    sway = movement(0.5 * (acceleration[:-1] + acceleration[1:]))
+    headings = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    level = braking * np.stack([np.cos(headings), np.sin(headings), 0.0 * headings], axis=1)
+    stop: Floats = np.max([movement(np.tile(by, (len(lengths), 1))) for by in level], axis=0)
+    return sway + stop
+
+
 Ints = npt.NDArray[np.intp]
 Progress = Callable[[str, float], None]
 

@@ -1,4 +1,4 @@
-"""``swarm failures``: failure tests, one injected fault per flight; the table of responses."""
+"""``swarm failures``: failure tests, one fault per flight; without a mission, the responses."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -9,6 +9,7 @@ import click
 from click.core import ParameterSource
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 from swarm import planner
 from swarm.cli.inputs import (
@@ -24,8 +25,9 @@ from swarm.cli.inputs import (
     refuse_option_conflicts,
 )
 from swarm.cli.planning import load_source, require_cleared
-from swarm.cli.responses import print_responses
 from swarm.files import write_text
+from swarm.flight import policy
+from swarm.flight.stages import Stage, mermaid
 from swarm.reports.failures_report import failures_report
 from swarm.reports.failures_text import print_failures
 from swarm.simulation.fault_injection import (
@@ -42,6 +44,20 @@ from swarm.simulation.fault_injection.results_file import (
     open_results,
     results_header,
 )
+
+
+def print_responses(*, whole: bool, diagram: bool) -> None:
+    """Print the table of responses, ``whole`` or on the plan only, or the diagram of stages."""
+    if diagram:
+        click.echo(mermaid())
+        return
+    heading, *rows = policy.rows()
+    count = len(heading) if whole else 3
+    table = Table(*heading[:count])
+    for row in rows:
+        if whole or row[1] == Stage.EXECUTE.name.lower():
+            table.add_row(*row[:count])
+    Console(width=None if whole else 100).print(table, highlight=False)
 
 
 @dataclass(frozen=True)

@@ -1,27 +1,28 @@
-"""``swarm fly``: plan, check and fly a mission."""
+"""``swarm fly``: plan, check and fly a mission; ``--resume RECORD`` takes over a team in flight."""
 
 import re
 import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
 import click
 from rich.console import Console
 
+from swarm.certification.certificate import without_cable
 from swarm.certification.findings import Finding
 from swarm.cli.flight_session import Displays, Viewer, displays, end_flight
 from swarm.cli.inputs import JSON, REPLAN, SET, VERBOSE, refuse_option_conflicts
 from swarm.cli.planning import load_source, prepare_flight, require_cleared
-from swarm.cli.resume import resume_flight
-from swarm.errors import InputError, Problem
+from swarm.errors import InputError, Problem, Refused
 from swarm.flight.bench_flight import RAISED, raised
 from swarm.flight.clearance import Audit
+from swarm.flight.flight_plan import ResumedFlight, confirmed_basis
 from swarm.flight.result import FlightResult
-from swarm.flight.resuming import Then
+from swarm.flight.resuming import Then, left_off
 from swarm.flight.setup import LOOSE_ERROR
 from swarm.front.files import load_fleet
 from swarm.ground.callbacks import FlightCallbacks
@@ -30,13 +31,71 @@ from swarm.ground.fly import FlyOptions
 from swarm.ground.forward import parse_forward
 from swarm.ground.mocap import parse_url
 from swarm.ground.record_folder import control_socket, new_record_folder
+from swarm.ground.record_reader import (
+    recorded_certificate,
+    recorded_fleet,
+    recorded_frames,
+    recorded_log,
+    recorded_plan,
+)
 from swarm.ground.tick_tasks import Unattended
 from swarm.ground.world_clock import require_clock
 from swarm.mavlink.frames import AutopilotName
 from swarm.mission import Mission
 from swarm.mission.fleet import Fleet, emulated_fleet
+from swarm.planner import certify_again
 from swarm.planning.estimates import require_fleet
 from swarm.reports.findings_text import findings_table
+
+LARGEST_LOG = 1 << 30
+"""Bytes of the packets of the interrupted flight."""
+
+
+def resume_flight(
+    context: click.Context,
+    record: Path,
+    folder: Path,
+    options: FlyOptions,
+    *,
+    view: Viewer | None,
+    as_json: bool,
+) -> None:
+    """Resume the flight of a record with ``options``, and exit with its code."""
+    console = Console(quiet=as_json)
+    plan, fleet = recorded_plan(record), recorded_fleet(record)
+    log = recorded_log(record, LARGEST_LOG)
+    basis, assessment = recorded_certificate(record)
+    flight_plan = ResumedFlight(plan, basis, assessment)
+    if fleet.emulated is not None:
+        raise Refused("the built-in emulator ended with its ground station: no vehicle is flying")
+    left = left_off(log, plan, fleet, recorded_frames(record, plan))
+    attached = "carrying cable" if basis.cable else "without cable"
+    console.print(
+        f"Interrupted at {left.mission_time:.1f} s of the plan, {attached}; searching for "
+        f"{plan.vehicles} vehicles.",
+        highlight=False,
+    )
+    flight = FlightRequest(
+        flight_plan,
+        fleet,
+        folder,
+        replace(options, no_cable=not basis.cable, control=control_socket(folder), left=left),
+    )
+    prepare_flight()
+    with displays(plan, folder, view, console) as shown, shown.screen:
+        result = fly_in_process(
+            flight,
+            FlightCallbacks(on_snapshot=shown.on_snapshot, on_event=shown.on_event),
+            read_keys=sys.stdin.isatty(),
+            low_priority=True,
+        )
+    # What the report states as certified is shown again: now there is time for it.
+    again = certify_again(plan if basis.cable else without_cable(plan), assessment.robustness)
+    basis = confirmed_basis(plan, result.basis)
+    kept = replace(result.adherence, certified=basis.max_tracking_error)
+    result = replace(result, basis=basis, adherence=kept)
+    end_flight(context, plan, again.assessment, result, folder, as_json=as_json)
+
 
 COUNTDOWN = 3
 _FLIGHTS = Path("flights")

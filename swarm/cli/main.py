@@ -1,4 +1,9 @@
-"""The ``swarm`` command."""
+"""The ``swarm`` command.
+
+The planner and its libraries take a second to import: mission and fleet files are validated before
+the module of a command is imported. Old spellings of commands and options keep working, with a
+note.
+"""
 
 import gc
 import os
@@ -8,18 +13,82 @@ import sys
 import tempfile
 import threading
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
+from itertools import zip_longest
 from types import FrameType
 
 import click
 from click.shell_completion import CompletionItem
 
-from swarm.cli.early_validation import validate_files
-from swarm.cli.old_spelling import current_spelling
 from swarm.errors import InputError, Interrupted, SwarmError, nearest, reason
 from swarm.version import __version__
+
+_WITH_MISSION = frozenset({"plan", "dry-run", "trials", "failures", "rope", "check", "fly"})
+"""Commands whose argument is a mission, a plan file or the name of a knot."""
+
+
+def validate_files(arguments: Sequence[str]) -> None:
+    """Raise :class:`swarm.errors.InputError` for a wrong mission or fleet file of a command.
+
+    ``arguments`` begin with the command. A mission is found right after the command only; what is
+    not found here is validated by the command itself.
+    """
+    command, *rest = arguments or ("",)
+    if command not in _WITH_MISSION or {"-h", "--help"} & set(rest):
+        return
+    from swarm.front.files import is_plan_file, load_fleet, load_mission  # noqa: PLC0415 - slow
+
+    if rest and not rest[0].startswith("-") and not is_plan_file(rest[0]):
+        counts = [f"vehicles.count={count}" for count in _values("--vehicles", rest)]
+        load_mission(rest[0], (*_values("--set", rest), *counts))
+    for fleet in _values("--fleet", rest):
+        load_fleet(fleet)
+
+
+def _values(option: str, arguments: Sequence[str]) -> Iterator[str]:
+    """Yield the values of an option that can be repeated."""
+    for argument, following in zip_longest(arguments, arguments[1:]):
+        name, equals, value = argument.partition("=")
+        if name == option and equals:
+            yield value
+        elif name == option and following is not None:
+            yield following
+
+
+_OPTIONS: Mapping[str, Mapping[str, str]] = {
+    "trials": {"--trials": "--count", "--results": "--output"},
+    "failures": {"--times": "--repeat", "--row": "--filter", "--results": "--output"},
+    "knots": {"--only": "--filter", "--to": "--output"},
+}
+"""Command → old name of an option → its name."""
+
+
+def current_spelling(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments of ``swarm`` with every old spelling replaced.
+
+    ``dry-run`` with ``--trials``, ``--failures`` or ``--rope`` was what ``trials``, ``failures``
+    and ``rope`` are now.
+    """
+    if not arguments:
+        return []
+    command, *rest = arguments
+    if command == "dry-run":
+        names = [argument.partition("=")[0] for argument in rest]
+        command = next(
+            (one for one in ("trials", "failures", "rope") if f"--{one}" in names), command
+        )
+        if command in ("failures", "rope"):
+            rest.remove(f"--{command}")
+    renamed = _OPTIONS.get(command, {})
+    return [command, *(_renamed(argument, renamed) for argument in rest)]
+
+
+def _renamed(argument: str, names: Mapping[str, str]) -> str:
+    name, equals, value = argument.partition("=")
+    return names.get(name, name) + equals + value
+
 
 # The vectors are too short for several threads, which spin while they wait and take the cores from
 # the flight loop. NumPy reads this when it is imported.

@@ -8,31 +8,183 @@ observes, detects, decides and acts; the state is in :mod:`swarm.flight.state`, 
 
 from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
+
+from swarm.certification.stream_loss import StreamLossCertificate, certify_stream_loss
 from swarm.errors import Refused
-from swarm.flight.clearance import ClearedPlan
-from swarm.flight.detect import IN_FLIGHT
+from swarm.flight.clearance import Audit, ClearedPlan
+from swarm.flight.clock import MissionClock
+from swarm.flight.detect import IN_FLIGHT, Detectors
 from swarm.flight.ending import conclude, finish
-from swarm.flight.flight_plan import FlightPlan
-from swarm.flight.flight_view import FlightView
+from swarm.flight.estimation import Measured
+from swarm.flight.flight_plan import Basis, FlightPlan
+from swarm.flight.guidance import Guidance
 from swarm.flight.modes import contingency, execute
-from swarm.flight.modes.prepare import prepare, wait_for_clearance
+from swarm.flight.modes.execute import prepare, wait_for_clearance
 from swarm.flight.modes.resume import find_team
 from swarm.flight.modes.transitions import change_stage
+from swarm.flight.observation import observation_of
 from swarm.flight.observing import follow_swing, monitor, observe
 from swarm.flight.operator import Availability, Request, available, request
+from swarm.flight.parameters import stream_loss_model
+from swarm.flight.preparation import Preparation
+from swarm.flight.recorder import Recorder
 from swarm.flight.reporting import record_sample, snapshot_of, statistics_of
 from swarm.flight.responding import respond
-from swarm.flight.result import Statistics
+from swarm.flight.result import Outcome, Statistics
 from swarm.flight.resuming import LeftOff, Then
-from swarm.flight.router import Address, Outgoing
-from swarm.flight.setup import Options, setup_of
+from swarm.flight.router import Address, Outgoing, Team
+from swarm.flight.setup import Options, Setup, setup_of
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.stages import Stage, Trigger
-from swarm.flight.starting import initial_state
-from swarm.flight.state import LONGEST_TICK, FlightState, Resumption
+from swarm.flight.state import (
+    LONGEST_TICK,
+    FlightState,
+    Mode,
+    Placement,
+    Resumption,
+    Roster,
+    Streams,
+)
 from swarm.flight.streams import setpoints
 from swarm.flight.trace import Trace
+from swarm.mavlink.vehicle import Vehicle
 from swarm.mission.fleet import Fleet
+from swarm.planning import Phase, Plan
+from swarm.planning.clock_limits import clock_limits
+
+
+def initial_state(setup: Setup, resumption: Resumption) -> FlightState:
+    """Return the state of a flight that has not begun, or that is to be resumed in the air."""
+    plan, fleet, recorder = setup.plan, setup.fleet, Recorder()
+    n, left = plan.vehicles, resumption.left_off
+    guidance, braking = Guidance(plan.motion), plan.mission.vehicles.braking_acceleration
+    starts = guidance.planned(0.0).position
+    standing = starts + setup.lift
+    team = Team(fleet, lambda *_: None)
+    # the order of the vehicles is a guess until their positions are known
+    flying = list(team.vehicles.values())[:n]
+    placement = Placement(None, np.zeros(n), np.full((n, 3), np.nan))
+    if left is not None:
+        flying = [team.vehicles[system] for system in left.systems]
+        placement = Placement(left.frames, left.yaw, starts)
+    roster = Roster.of(flying)
+    flight = FlightState(
+        setup=setup,
+        team=team,
+        preparation=Preparation(team, fleet, standing),
+        clock=MissionClock(clock_limits(plan.motion, braking)),
+        guidance=guidance,
+        detectors=Detectors.of(setup),
+        recorder=recorder,
+        stream_loss=_stream_loss_of(setup),
+        roster=roster,
+        placement=placement,
+        observation=observation_of(
+            0.0, roster.names, team.telemetry.values, roster.rows, Measured.of(n)
+        ),
+        streams=Streams.of(n),
+        mode=Mode(Stage.PREPARE if left is None else Stage.RESUME),
+        resumption=resumption,
+    )
+    team.report_to(flight.report_of_system)
+    return flight
+
+
+def _stream_loss_of(setup: Setup) -> StreamLossCertificate:
+    """Return the certified rates of the clock for lost setpoints, from the plan or computed."""
+    fleet = setup.fleet
+    model = stream_loss_model([(v.autopilot, {}) for v in fleet.vehicles], fleet.limits)
+    certified = setup.flight_plan.stream_loss
+    if certified is not None and certified.holds_for(setup.plan, model):
+        return certified
+    return certify_stream_loss(setup.plan, model)
+
+
+class FlightView:
+    """The values of a flight's ``state`` that shells read."""
+
+    state: FlightState
+
+    @property
+    def flight_plan(self) -> FlightPlan:
+        """The plan, with what was checked of it."""
+        return self.state.setup.flight_plan
+
+    @property
+    def plan(self) -> Plan:
+        """The plan."""
+        return self.state.setup.plan
+
+    @property
+    def fleet(self) -> Fleet:
+        """The fleet."""
+        return self.state.setup.fleet
+
+    @property
+    def basis(self) -> Basis:
+        """The basis on which the plan is flown."""
+        return self.state.setup.basis
+
+    @property
+    def stream_loss(self) -> StreamLossCertificate:
+        """The largest rates of the clock for lost setpoints."""
+        return self.state.stream_loss
+
+    @property
+    def team(self) -> Team:
+        """The vehicles and the links to them."""
+        return self.state.team
+
+    @property
+    def waiting(self) -> bool:
+        """Whether the clock waits at a gate."""
+        return self.state.progress.waiting
+
+    @property
+    def stage(self) -> Stage:
+        """The stage of the flight."""
+        return self.state.stage
+
+    @property
+    def now(self) -> float:
+        """The time of the last tick."""
+        return self.state.now
+
+    @property
+    def clock(self) -> MissionClock:
+        """The mission clock."""
+        return self.state.clock
+
+    @property
+    def phase(self) -> Phase:
+        """The plan's phase at this moment."""
+        return self.state.phase
+
+    @property
+    def flyers(self) -> Sequence[Vehicle]:
+        """The vehicles that fly, in order along the cable."""
+        return self.state.roster.vehicles
+
+    @property
+    def audit(self) -> Audit | None:
+        """The audit of the team on the ground; None before all are ready."""
+        return self.state.placement.audit
+
+    @property
+    def holding(self) -> str | None:
+        """Why the clock is held; None while it is not."""
+        return self.state.holds.message
+
+    @property
+    def finished(self) -> Outcome | None:
+        """The outcome of the flight; None while it goes on."""
+        return self.state.ending.outcome
+
+    @property
+    def over(self) -> bool:
+        """Whether the flight has ended."""
+        return self.state.stage is Stage.FINISHED
 
 
 class Conductor(FlightView):

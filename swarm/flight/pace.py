@@ -1,6 +1,6 @@
 """The rate of the mission clock: held, slowed by the largest error of the team, back, or on."""
 
-from swarm.flight.detect.standstill import SLOW_FROM
+from swarm.flight.detect import SLOW_FROM
 from swarm.flight.failures import OPERATOR
 from swarm.flight.holds import hold
 from swarm.flight.parameters import STREAM_LOSS_TIME

@@ -1,7 +1,7 @@
 """From a detected failure to the team's response, as the policy says."""
 
 from swarm.flight import policy
-from swarm.flight.detect.station import STALLED
+from swarm.flight.detect import STALLED
 from swarm.flight.ending import mark_failed
 from swarm.flight.failures import Failure, Finding, HoldCause, Recovery
 from swarm.flight.holds import end_failures, hold

@@ -3,7 +3,7 @@
 A polygon keeps its knot while a vertex moves if no other edge pierces the two triangles that its
 own edges sweep; a vertex can be left out if no edge pierces the triangle that it spans with its
 neighbours. Random moves of this kind reduce a polygon to few edges, and then shape it. The ends go
-on straight up, as :func:`swarm.knots.curve_diagram.close_upward` closes them.
+on straight up, as :func:`swarm.knots.invariants.close_upward` closes them.
 """
 
 import numpy as np

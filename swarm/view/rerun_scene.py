@@ -2,6 +2,9 @@
 
 Timelines: ``time`` is seconds since the start of the record, ``mission_time`` the mission clock.
 Planned entities are below ``plan/``, flown ones below ``flight/``.
+
+A call to Rerun costs the same for any number of points: curves are sent in batches of them, a
+moment late.
 """
 
 from collections.abc import Callable
@@ -16,9 +19,48 @@ from swarm.planning import Plan
 from swarm.planning.cable_shape import laid_grip_points
 from swarm.reports import scene
 from swarm.reports.formatting import clock, event_text, log_level
-from swarm.view.curves import CurveBuffer
 
 Floats = npt.NDArray[np.float64]
+
+BATCH_TIME: Final = 0.4
+"""Seconds of a curve in one batch."""
+
+
+class CurveBuffer:
+    """Points of curves that are not sent yet, each with its time and mission time."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+        self._waiting: dict[str, list[tuple[float, float, Floats]]] = {}
+        self._last_sent = -np.inf
+
+    def add(self, entity: str, time: float, mission_time: float, values: npt.ArrayLike) -> None:
+        """Add the next point of an entity's curves (n,)."""
+        row = np.atleast_1d(np.asarray(values, dtype=np.float64))
+        self._waiting.setdefault(entity, []).append((time, mission_time, row))
+
+    def send_due(self, now: float) -> None:
+        """Send all points if the last batch is :data:`BATCH_TIME` old."""
+        if not 0.0 <= now - self._last_sent < BATCH_TIME:
+            self._last_sent = now
+            self.send()
+
+    def send(self) -> None:
+        """Send all points."""
+        for entity, points in self._waiting.items():
+            times, clock, values = zip(*points, strict=True)
+            self._stream.send_columns(
+                entity,
+                indexes=[
+                    rr.TimeColumn("time", duration=times),
+                    rr.TimeColumn("mission_time", duration=clock),
+                ],
+                columns=rr.Scalars.columns(scalars=np.concatenate(values)).partition(
+                    [len(row) for row in values]
+                ),
+            )
+        self._waiting.clear()
+
 
 PATH_COLOUR: Final = (120, 110, 185)
 GHOST_COLOUR: Final = (235, 235, 245)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from swarm import planner
-from swarm.analysis.swing import largest_swings
+from swarm.analysis.rope import largest_swings
 from swarm.errors import Refused
 from swarm.geometry.catenary import STANDARD_GRAVITY, solve_catenaries
 from swarm.mission import mission_for_knot

@@ -18,8 +18,12 @@ from swarm import planner
 from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.certification.contingency_windows import ContingencyWindows
 from swarm.certification.stream_loss import StreamLossCertificate, StreamLossModel, WorstLoss
-from swarm.flight.modes.contingency import leave_the_plan, release_fallen
-from swarm.flight.modes.windows import held_by_cable, turning_below_cable
+from swarm.flight.modes.contingency import (
+    held_by_cable,
+    leave_the_plan,
+    release_fallen,
+    turning_below_cable,
+)
 from swarm.flight.policy import LOSES_A_VEHICLE, TABLE, Response
 from swarm.flight.state import Contingency
 from swarm.mission import mission_for_knot, parse_mission

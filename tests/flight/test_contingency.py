@@ -8,7 +8,7 @@ import pytest
 from swarm.certification.findings import Finding
 from swarm.errors import Refused
 from swarm.flight.clearance import Audit, go
-from swarm.flight.modes import windows as contingency_windows
+from swarm.flight.modes import contingency
 from tests.network import small_plan
 
 PLAN = small_plan(vehicles=3)
@@ -28,7 +28,7 @@ def may_release(off, *, streaming=False, dead=(), can_release=True):
         observation=SimpleNamespace(position=position),
         clock=SimpleNamespace(time=time),
     )
-    return contingency_windows.may_release(flight)
+    return contingency.may_release(flight)
 
 
 def under_the_strand():

@@ -6,16 +6,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from swarm.flight.detect.health import HealthDetector
-from swarm.flight.detect.heights import LARGEST_STEP, HeightDetector
-from swarm.flight.detect.latch import Latch
-from swarm.flight.detect.links import LinkDetector
-from swarm.flight.detect.motion import MotionDetector
-from swarm.flight.detect.reports import ReportDetector
-from swarm.flight.detect.standstill import HoldTimeoutDetector, StandstillDetector
-from swarm.flight.detect.tracking import TrackingDetector
+from swarm.flight.detect import (
+    LARGEST_STEP,
+    HealthDetector,
+    HeightDetector,
+    HoldTimeoutDetector,
+    LinkDetector,
+    MotionDetector,
+    ReportDetector,
+    StandstillDetector,
+    TrackingDetector,
+)
 from swarm.flight.estimation import Measured
-from swarm.flight.failures import OPERATOR, Failure, FailureKind, Recovery
+from swarm.flight.failures import OPERATOR, Failure, FailureKind, Latch, Recovery
 from swarm.flight.modes import execute
 from swarm.flight.observation import Expected, Observation
 from swarm.flight.router import answer_limit, timesync_interval
@@ -23,8 +26,7 @@ from swarm.flight.stages import Stage
 from swarm.mavlink.telemetry_table import WIDTH
 from swarm.mavlink.vehicle_state import VehicleEvent
 from swarm.mission.fleet import emulated_fleet
-from swarm.simulation.fault_injection.clone import branch
-from swarm.simulation.fault_injection.stepped_simulation import lasting
+from swarm.simulation.fault_injection.stepped_simulation import branch, lasting
 from tests.network import Network, small_plan
 
 PLACES = np.array([[0.0, 0.0, 5.0], [3.0, 0.0, 5.0], [6.0, 0.0, 5.0]])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from swarm.errors import InputError
-from swarm.flight.detect.grip_slip import GripSlipDetector
-from swarm.flight.detect.latch import Latch
+from swarm.flight.failures import Latch
+from swarm.flight.grip_slip import GripSlipDetector
 from swarm.flight.streams import against_drag
 from swarm.flight.trace import Trace
 from swarm.geometry.catenary import STANDARD_GRAVITY

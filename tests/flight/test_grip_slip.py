@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from swarm.flight.detect import grip_slip
-from swarm.flight.detect.grip_slip import GripSlipDetector, lean, score_needed
-from swarm.flight.detect.latch import Latch
+from swarm.flight import grip_slip
+from swarm.flight.failures import Latch
+from swarm.flight.grip_slip import GripSlipDetector, lean, score_needed
 from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.fault_injection.stepped_simulation import (
     SteppedSimulation,

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from sitl.autopilots.ardupilot.tables import PARAMETERS as ARDUPILOT_PARAMETERS
-from sitl.autopilots.px4.tables import PARAMETERS as PX4_PARAMETERS
+from sitl.autopilots.ardupilot import PARAMETERS as ARDUPILOT_PARAMETERS
+from sitl.autopilots.px4 import PARAMETERS as PX4_PARAMETERS
 from swarm.certification.stream_loss import StreamLossModel
 from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor

@@ -15,7 +15,7 @@ import pytest
 from swarm.certification.contingency_windows import ContingencyWindows
 from swarm.flight.failures import Failure, FailureKind, HoldCause
 from swarm.flight.modes import contingency
-from swarm.flight.modes.windows import LONGEST_HOVER
+from swarm.flight.modes.contingency import LONGEST_HOVER
 from swarm.flight.policy import (
     ENDS,
     LOSES_A_VEHICLE,
@@ -31,8 +31,7 @@ from swarm.flight.policy import (
 from swarm.flight.responding import respond
 from swarm.flight.stages import Stage, Step
 from swarm.flight.state import FlightState, Timing
-from swarm.simulation.fault_injection.clone import branch
-from swarm.simulation.fault_injection.stepped_simulation import lasting
+from swarm.simulation.fault_injection.stepped_simulation import branch, lasting
 from tests.network import Network, small_plan
 
 PLAN = small_plan(vehicles=5)

@@ -13,7 +13,7 @@ from functools import cache
 from swarm.flight.conductor import Conductor
 from swarm.flight.world import emulated_world
 from swarm.simulation.fault_injection import FAILURE_CASES, FailureCase, FaultTrial, TeamAutopilots
-from swarm.simulation.fault_injection.failure_case import Part
+from swarm.simulation.fault_injection.failure_cases import Part
 from swarm.simulation.fault_injection.failure_tests import fly_fault_trial
 from swarm.simulation.fault_injection.stepped_simulation import (
     SteppedSimulation,

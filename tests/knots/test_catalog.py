@@ -6,7 +6,6 @@ import pytest
 
 from swarm.knots.catalog import choose_knot, lookup_knot, other_grids, table_names
 from swarm.knots.chirality import AMPHICHIRAL, chirality_sign
-from swarm.knots.conway import diagram_of_conway
 from swarm.knots.diagram import Diagram
 from swarm.knots.gauss import KnotError
 from swarm.knots.grid import Grid, mirrored, openings, stabilised
@@ -14,7 +13,7 @@ from swarm.knots.invariants import identify_diagram
 from swarm.knots.jones import jones_polynomial
 from swarm.knots.table import knot_table, read_line
 from swarm.knots.table_check import check_knot
-from swarm.knots.tabulate import tabulate_knot
+from swarm.knots.tabulate import diagram_of_conway, tabulate_knot
 from tests.knots.curves import knotinfo, of_knotinfo
 
 OVERHAND = "1- 2+ 3- 1+ 2- 3+"

@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
 from swarm.mavlink.packets import Decoder, Encoder
-from swarm.mavlink.parameters import ATTEMPTS, FETCH_TIMEOUT, Parameters, decode_value, encode_value
+from swarm.mavlink.vehicle_state import (
+    ATTEMPTS,
+    FETCH_TIMEOUT,
+    Parameters,
+    decode_value,
+    encode_value,
+)
 
 INT32, REAL32, INT8 = 6, 9, 2
 STEP = 0.05

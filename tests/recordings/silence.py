@@ -16,8 +16,7 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import common as dialect
 
-from sitl.autopilots.ardupilot import tables as ardupilot_tables
-from sitl.autopilots.px4 import tables as px4_tables
+from sitl.autopilots import ardupilot, px4
 from sitl.emulator import Emulator
 from sitl.firmware.selection import assign, parse
 from sitl.firmware.team import flying
@@ -31,7 +30,7 @@ HOLD = 20.0
 """T of the recordings, seconds: shorter than a fleet's 60 s, so that they are small."""
 SILENT_FROM = {"px4": 30.0, "ardupilot": 90.0}
 """World time of the last packet: the ArduCopter boots for 40 to 60 s."""
-TABLES = {"px4": px4_tables.PARAMETERS, "ardupilot": ardupilot_tables.PARAMETERS}
+TABLES = {"px4": px4.PARAMETERS, "ardupilot": ardupilot.PARAMETERS}
 EPOCH = 1_800_000_000.0
 HEIGHT = 2.0
 _LONGEST = 40.0

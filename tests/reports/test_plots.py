@@ -9,7 +9,8 @@ from matplotlib.image import imread
 
 from swarm.certification.clearances import Moment
 from swarm.errors import InputError, Refused
-from swarm.reports import pareto_plot, plots, schedule_plots, swing_plots
+from swarm.reports import pareto_plot, plots, schedule_plots
+from swarm.reports.flight_report import plot_shaping
 from tests.reports.synthetic import CROSSINGS, trefoil_plan
 
 PLAN = trefoil_plan()
@@ -151,11 +152,11 @@ def test_schedule_picture_is_written(tmp_path: Path) -> None:
 
 
 def test_the_swing_of_two_timings_is_drawn(tmp_path: Path) -> None:
-    swing_plots.plot_shaping(PLAN, PLAN, tmp_path / "swing.png")
+    plot_shaping(PLAN, PLAN, tmp_path / "swing.png")
     assert imread(tmp_path / "swing.png").shape[1] > 800
     grounded = tuple(phase for phase in PLAN.phases if phase.name != "fold")
     with pytest.raises(Refused, match="the plan folds no cable"):
-        swing_plots.plot_shaping(PLAN, replace(PLAN, phases=grounded), tmp_path / "none.png")
+        plot_shaping(PLAN, replace(PLAN, phases=grounded), tmp_path / "none.png")
 
 
 @pytest.mark.parametrize("vehicles", [1, 2, 3])

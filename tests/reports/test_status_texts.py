@@ -15,8 +15,7 @@ from swarm.flight.snapshot import Event
 from swarm.ground.record import Record
 from swarm.mavlink.packets import Encoder
 from swarm.mission.fleet import emulated_fleet
-from swarm.reports.status_texts import WINDOW, StatusTexts
-from swarm.reports.terminal import FlightScreen
+from swarm.reports.terminal import WINDOW, FlightScreen, StatusTexts
 from tests.network import small_plan
 from tests.reports.synthetic import snapshot_at, trefoil_plan
 

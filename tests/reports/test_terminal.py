@@ -10,10 +10,16 @@ from swarm.certification.assessment import Assessment, Robustness, Tightest, rou
 from swarm.certification.findings import Finding
 from swarm.flight.operator import REQUESTS
 from swarm.flight.snapshot import Event
-from swarm.reports.flight_lines import clock_line, key_line, phase_line, wait_line
 from swarm.reports.formatting import clock, log_level, metres, seconds, worst_vehicles
 from swarm.reports.plan_summary import print_plan_summary
-from swarm.reports.terminal import FlightScreen, team_table
+from swarm.reports.terminal import (
+    FlightScreen,
+    clock_line,
+    key_line,
+    phase_line,
+    team_table,
+    wait_line,
+)
 from tests.reports.synthetic import snapshot_at, trefoil_plan
 
 PLAN = trefoil_plan()

@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl import Emulator
-from sitl.faults.mapping import INJECTED, OF_ARDUPILOT, PARAMETERS
+from sitl.faults.injector import INJECTED, OF_ARDUPILOT, SIM_PARAMETERS
 from sitl.faults.scenario import KINDS, Fault, parse_scenario
 from tests.sitl.client import Ground, world
 
@@ -285,9 +285,9 @@ def test_both_autopilots_have_the_sim_parameters(
 ) -> None:
     ground = Ground(Emulator(world(1, autopilot=autopilot)))
     names = set(ground.emulator.vehicles[0].parameters.names)
-    assert set(PARAMETERS) <= names
-    assert set(OF_ARDUPILOT) <= set(PARAMETERS)
-    assert max(map(len, PARAMETERS)) <= 16
+    assert set(SIM_PARAMETERS) <= names
+    assert set(OF_ARDUPILOT) <= set(SIM_PARAMETERS)
+    assert max(map(len, SIM_PARAMETERS)) <= 16
 
 
 def test_a_snag_slides_above_its_friction() -> None:

@@ -9,11 +9,11 @@ from pymavlink.dialects.v20 import common as dialect
 
 from sitl.emulator import Emulator
 from sitl.faults.scenario import Fault
-from sitl.firmware import ardupilot_json, px4_hil
-from sitl.firmware.ardupilot_port import ArduPilotPort
-from sitl.firmware.exchange import Exchange
-from sitl.firmware.px4_port import Px4Port
+from sitl.firmware import ardupilot, px4
+from sitl.firmware.ardupilot import ArduPilotPort
+from sitl.firmware.px4 import Px4Port
 from sitl.firmware.sensors import SensorFaults
+from sitl.firmware.team import Exchange
 from sitl.physics.dynamics import STEP
 from sitl.physics.geodesy import GRAVITY, Geodesy
 from sitl.physics.rigid_bodies import SUBSTEPS
@@ -66,7 +66,7 @@ def test_without_a_motor_three_give_their_thrust_until_the_fault_ends():
 
 def test_a_process_that_has_ended_stops_the_motors():
     emulator = outside("ardupilot")
-    number = ardupilot_json.PORT + ardupilot_json.PORT_STEP * INSTANCE
+    number = ardupilot.PORT + ardupilot.PORT_STEP * INSTANCE
     port = ArduPilotPort(0, number, (1.0, 1.0))
     gone = []
     exchange = Exchange(emulator, emulator.outside, [port], lambda: gone)
@@ -86,7 +86,7 @@ def measured(faults):
     """Return HIL_GPS and HIL_SENSOR of a vehicle at rest in the origin, with faults of sensors."""
     port = Px4Port(0, INSTANCE, GEODESY, np.random.default_rng(1), lambda: faults)
     try:
-        with socket.create_connection(("127.0.0.1", px4_hil.PORT + INSTANCE)) as autopilot:
+        with socket.create_connection(("127.0.0.1", px4.PORT + INSTANCE)) as autopilot:
             assert port.connect(1.0)
             state = np.zeros(17)
             state[6] = 1.0

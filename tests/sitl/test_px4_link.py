@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as dialect
 from scipy.spatial.transform import Rotation
 
-from sitl.firmware import px4_hil, px4_process, sensors
+from sitl.firmware import sensors
 from sitl.firmware.process import Start
+from sitl.firmware.px4 import Stream, launch_px4, receiver, sensor
 from sitl.physics.geodesy import GRAVITY, Geodesy
 from sitl.protocol import wire
 
@@ -29,7 +30,7 @@ def decoded(data):
 def test_sensor_values_are_in_frd():
     inertial = np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])
     slow = (0.2, -0.1, -0.4, 950.0, 540.0, 11.5)
-    sent = decoded(px4_hil.sensor(wire.Sender(1), 5000, inertial, slow))
+    sent = decoded(sensor(wire.Sender(1), 5000, inertial, slow))
     assert (sent.xacc, sent.yacc, sent.zacc) == (1.0, -2.0, -3.0)
     np.testing.assert_allclose((sent.xgyro, sent.ygyro, sent.zgyro), (0.1, -0.2, -0.3), rtol=1e-6)
     np.testing.assert_allclose((sent.xmag, sent.ymag, sent.zmag), (0.2, 0.1, 0.4), rtol=1e-6)
@@ -38,7 +39,7 @@ def test_sensor_values_are_in_frd():
 
 
 def test_without_slow_sensors_only_inertial_values_are_updated():
-    sent = decoded(px4_hil.sensor(wire.Sender(1), 1, np.ones(6), None))
+    sent = decoded(sensor(wire.Sender(1), 1, np.ones(6), None))
     assert sent.fields_updated == 0x3F
 
 
@@ -46,7 +47,7 @@ def test_a_fix_is_in_ned_with_its_stated_errors():
     place = sensors.fix(
         sensors.RTK, GEODESY, np.array([10.0, 20.0, 5.0]), np.array([1.0, 2.0, -0.5]), np.zeros(6)
     )
-    sent = decoded(px4_hil.receiver(wire.Sender(1), 7, place))
+    sent = decoded(receiver(wire.Sender(1), 7, place))
     assert (sent.vn, sent.ve, sent.vd, sent.vel) == (200, 100, 50, 224)
     assert sent.cog == round(100 * math.degrees(math.atan2(1.0, 2.0)))
     assert (sent.alt, sent.eph, sent.epv, sent.fix_type) == (493000, 1, 1, 6)
@@ -74,7 +75,7 @@ FRAMES = b"".join(
 def test_outputs_are_read_from_any_pieces_after_any_garbage(cuts, garbage):
     data = garbage.replace(b"\xfd", b"") + FRAMES
     edges = [0, *sorted(cuts), len(data)]
-    stream = px4_hil.Stream()
+    stream = Stream()
     found = [stream.feed(data[a:b]) for a, b in itertools.pairwise(edges)]
     latest = [one for one in found if one is not None][-1]
     assert latest == (200, (0.5, 0.25, 0.125, 1.0, *(0.0,) * 12), True)
@@ -83,7 +84,7 @@ def test_outputs_are_read_from_any_pieces_after_any_garbage(cuts, garbage):
 def test_a_frame_with_a_wrong_checksum_is_dropped():
     frame = bytearray(controls(300, [1.0] * 16, armed=True))
     frame[20] ^= 1
-    stream = px4_hil.Stream()
+    stream = Stream()
     assert stream.feed(bytes(frame)) is None
     assert stream.feed(controls(400, [0.0] * 16, armed=True)).time == 400
 
@@ -127,7 +128,7 @@ def test_pressure_falls_as_the_weight_of_the_air_above(altitude):
 
 def test_each_process_has_its_own_instance_link_and_parameters(tmp_path):
     start = Start(Path("/px4"), tmp_path, 4, 5, 0.0, True, {"COM_OF_LOSS_T": 0.5}, "127.0.0.1:9")
-    one = px4_process.launch(start, 0.25)
+    one = launch_px4(start, 0.25)
     assert one.command == ["/px4/bin/px4", "-d", "-i", "4", "/px4/etc"]
     assert one.files["px4-rc.mavlink"].splitlines() == [
         "param set COM_OF_LOSS_T 0.5",
@@ -139,6 +140,6 @@ def test_each_process_has_its_own_instance_link_and_parameters(tmp_path):
 
 def test_without_a_target_the_links_are_those_of_px4s_own_simulators(tmp_path):
     start = Start(Path("/px4"), tmp_path, 0, 1, 0.0, False, {}, None)
-    one = px4_process.launch(start, 0.25)
+    one = launch_px4(start, 0.25)
     assert one.files["px4-rc.mavlink"] == ". etc/init.d-posix/px4-rc.mavlink\n"
     assert "PX4_PARAM_PWM_MAIN_FUNC5" not in one.environment

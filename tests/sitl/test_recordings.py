@@ -19,8 +19,7 @@ import pytest
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl import Emulator
-from sitl.autopilots.ardupilot import tables as ardupilot_tables
-from sitl.autopilots.px4 import tables as px4_tables
+from sitl.autopilots import ardupilot, px4
 from tests.recordings import ARDUCOPTER, ARDUCOPTER_CABLE, PX4, recorded
 from tests.sitl.client import world
 from tests.sitl.conformance import (
@@ -94,7 +93,7 @@ ONE_SIDE_ONLY: Mapping[str, tuple[Any, Any]] = {
 """Start of texts that only one side sends."""
 LANDS_SOONER = {"landed 4 → landed 1"}
 """Delays that depend on the height and on the drift of SIH's estimate on the ground."""
-TABLES = {"px4": px4_tables.PARAMETERS, "ardupilot": ardupilot_tables.PARAMETERS}
+TABLES = {"px4": px4.PARAMETERS, "ardupilot": ardupilot.PARAMETERS}
 SETTINGS = {"px4": "px4-1.16.0", "ardupilot": "arducopter-4.6.2"}
 
 

@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from sitl.emulator import Emulator
-from sitl.firmware import ardupilot_json
-from sitl.physics import landing, rigid
+from sitl.firmware.ardupilot import answer, parse
+from sitl.physics import landing
 from sitl.physics.geodesy import GRAVITY
+from sitl.physics.rigid_bodies import COLUMNS, SAG, Frame, step
 from sitl.world import default_world
 
-FRAME = rigid.Frame(*(np.array([value]) for value in (1.5, 0.25, 0.6, 9.3, 0.2)))
+FRAME = Frame(*(np.array([value]) for value in (1.5, 0.25, 0.6, 9.3, 0.2)))
 STEP = 0.0025
 HOVER = np.full((1, 4), 1.5 * GRAVITY / 4)
 ANGLE = st.floats(-3.0, 3.0)
@@ -23,7 +24,7 @@ ANGLE = st.floats(-3.0, 3.0)
 
 def flying(attitude: Rotation | None = None) -> np.ndarray:
     """Return a hovering vehicle 5 m above the floor."""
-    state = np.zeros((1, rigid.COLUMNS))
+    state = np.zeros((1, COLUMNS))
     state[0, 2] = 5.0
     x, y, z, w = (attitude or Rotation.identity()).as_quat()
     state[0, 6:10] = w, x, y, z
@@ -34,7 +35,7 @@ def flying(attitude: Rotation | None = None) -> np.ndarray:
 def advance(state, wanted, force=(0.0, 0.0, 0.0), steps=1):
     outside = np.array([[*force, 0.0, 0.0, 0.0]])
     for _ in range(steps):
-        measured = rigid.step(state, FRAME, wanted, outside, 0.0, STEP)
+        measured = step(state, FRAME, wanted, outside, 0.0, STEP)
     return measured[0]
 
 
@@ -76,7 +77,7 @@ def test_a_vehicle_without_thrust_falls_measures_nothing_and_stands_up():
     measured = advance(state, np.zeros((1, 4)))
     np.testing.assert_allclose(measured, 0.0, atol=1e-9)
     measured = advance(state, np.zeros((1, 4)), steps=2000)
-    assert state[0, 2] == pytest.approx(0.6 - rigid.SAG)
+    assert state[0, 2] == pytest.approx(0.6 - SAG)
     np.testing.assert_allclose(measured, [0.0, 0.0, GRAVITY])
 
 
@@ -93,7 +94,7 @@ def test_accelerometers_measure_a_touchdown(speed, share):
         up = float(advance(state, wanted)[2])
         estimated += STEP * (up - GRAVITY)
         largest = max(largest, up)
-    assert 0.6 - rigid.SAG - 1e-9 <= state[0, 2] <= 0.6
+    assert 0.6 - SAG - 1e-9 <= state[0, 2] <= 0.6
     assert state[0, 5] == pytest.approx(0.0, abs=1e-6)
     assert estimated == pytest.approx(0.0, abs=1e-6)
     # most inertial sensors measure up to 16 g
@@ -132,7 +133,7 @@ def test_inertial_sensors_measure_how_legs_level_and_stop_a_vehicle(angles, drif
 @pytest.mark.parametrize(("pull", "slides"), [(4.0, False), (12.0, True)])
 def test_legs_hold_a_vehicle_against_the_cable_up_to_their_friction(pull, slides):
     state = flying()
-    state[0, 2] = 0.6 - rigid.SAG
+    state[0, 2] = 0.6 - SAG
     state[:, 13:] = 0.0
     advance(state, np.zeros((1, 4)), force=(pull, 0.0, 0.0), steps=400)
     assert (state[0, 0] > 0.1) == slides
@@ -156,7 +157,7 @@ def test_answers_are_in_ned_and_frd(angles):
     state = flying(turn)
     state[0, :6] = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0
     state[0, 10:13] = 0.1, 0.2, 0.3
-    text = ardupilot_json.answer(12.5, state[0], np.array([7.0, 8.0, 9.0]), (1.5, 0.5))
+    text = answer(12.5, state[0], np.array([7.0, 8.0, 9.0]), (1.5, 0.5))
     assert text[:1] == text[-1:] == b"\n"
     sent = json.loads(text)
     assert sent["timestamp"] == 12.5
@@ -172,14 +173,14 @@ def test_answers_are_in_ned_and_frd(angles):
 def test_servo_packets_are_read_and_others_are_not():
     pulses = tuple(range(1000, 1016))
     packet = struct.pack("<HHI16H", 18458, 400, 7, *pulses)
-    assert ardupilot_json.parse(packet) == (7, 400, pulses)
-    assert ardupilot_json.parse(struct.pack("<HHI32H", 29569, 400, 7, *pulses, *pulses)) == (
+    assert parse(packet) == (7, 400, pulses)
+    assert parse(struct.pack("<HHI32H", 29569, 400, 7, *pulses, *pulses)) == (
         7,
         400,
         pulses + pulses,
     )
     for wrong in (b"", packet[:-1], b"\x00" + packet[1:], packet + b"\x00"):
-        assert ardupilot_json.parse(wrong) is None
+        assert parse(wrong) is None
 
 
 def test_supervision_leaves_vehicles_alone_that_are_moved_from_outside():

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from sitl import Emulator
 from sitl.capture import MotionCapture
-from sitl.firmware import ardupilot_json, sensors
+from sitl.firmware import sensors
+from sitl.firmware.ardupilot import answer
 from sitl.physics.geodesy import Geodesy
 from sitl.world import Capture
 from swarm.ground.mocap import estimate, parse_frame
@@ -71,7 +72,7 @@ def test_arducopter_through_its_json_interface(latitude):
     for place in PLACES:
         state = np.zeros(17)
         state[:3], state[6] = place, 1.0
-        packet = ardupilot_json.answer(1.0, state, np.zeros(3), geodesy.scale("ardupilot"))
+        packet = answer(1.0, state, np.zeros(3), geodesy.scale("ardupilot"))
         north, east, down = json.loads(packet)["position"]
         fix = simulated(latitude, 8.5, north, east)
         true = pymap3d.enu2geodetic(*place[:2], 0.0, latitude, 8.5, 400.0)[:2]

@@ -2,40 +2,298 @@
 separate where the policy says so, descend together.
 
 All vehicles descend straight down at one speed, so that chords and levels keep.
+
+On the way it moves no faster than in the plan: errors, clearances and a loss of setpoints slow it
+down. Where it cannot move on, or a vehicle flies without setpoints, it stops where it is.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from swarm.analysis.separation import separation_motion, solo_landing_distance
-from swarm.flight.detect.standstill import SLOW_FROM
+from swarm.certification.contingency_windows import above_rotors, rotors_clear
+from swarm.flight.detect import SLOW_FROM, STOPPED_RATE
 from swarm.flight.ending import finish, mark_failed
-from swarm.flight.modes.approach import at_rest, contingency_of, move_on, stopped
 from swarm.flight.modes.rejoin import continue_rejoining, outside
 from swarm.flight.modes.transitions import change_stage
-from swarm.flight.modes.windows import (
-    LONGEST_HOVER,
-    TOUCHDOWN,
-    adrift,
-    held_by_cable,
-    may_release_at,
-    nearest_open,
-    not_following,
-    stays_above,
-    turning_below_cable,
-    unanswering,
-    waits_to_land,
-    windows,
-)
-from swarm.flight.pace import advance_clock
+from swarm.flight.observing import follow_swing, monitor
+from swarm.flight.pace import advance_clock, allowed_pace, rewind_end
 from swarm.flight.policy import End, Response, Windows, end_of
 from swarm.flight.progress import first_time, leave_plan
+from swarm.flight.router import answer_limit
 from swarm.flight.stages import Stage, Step, StepTrigger, Trigger, next_step
 from swarm.flight.state import Contingency, FlightState
 from swarm.flight.streams import begin_rejoining, give_up, stop_stream, stop_streams_of_landing
 from swarm.mavlink.vehicle import Vehicle
+
+LONGEST_HOVER, DESCENT_SPEED = 5.0, 0.2
+"""Seconds for which the team waits until a vehicle that lands alone descends, and the speed in m/s
+from which it does: ArduPilot hovers for 4 s before the landing of a failsafe (LAND_WITH_DELAY_MS in
+its source). In a simulated flight, a team that descended at once pulled the cable taut there."""
+TOUCHDOWN = 0.05
+"""Height of a setpoint in metres at which a vehicle is commanded to land."""
+LAG = 0.5
+"""Metres by which a vehicle may stay off its place in a common descent: the largest tracking
+error of a vehicle that follows is 0.2 m in winds that plans allow for."""
+
+
+def windows(flight: FlightState) -> Windows:
+    """Return what the plan and the vehicles' places allow at this moment."""
+    landable = flight.setup.windows.can_land(flight.clock.time)
+    return Windows.of(landable=landable, releasable=may_release(flight))
+
+
+def may_release(flight: FlightState) -> bool:
+    """Return whether no cable hangs above a rotor: as planned, and where vehicles do not follow.
+
+    Such vehicles stopped by themselves, the others along the path: some decimetres apart.
+    """
+    if not flight.setup.windows.can_release(flight.clock.time):
+        return False
+    return not not_following(flight) or bool(rotors_clear(flight.setup.plan, _places(flight))[0])
+
+
+def may_release_at(flight: FlightState, vehicles: Collection[int]) -> bool:
+    """Return whether the strands beside some vehicles hang above no rotor: these would fall."""
+    above = _above_rotors(flight)
+    strands = {s for k in vehicles for s in (k - 1, k) if 0 <= s < above.shape[1]}
+    return not above[:, sorted(strands)].any()
+
+
+def turning_below_cable(flight: FlightState) -> list[Vehicle]:
+    """Return the vehicles on the ground whose rotors still turn, with cable above them.
+
+    None while a vehicle flies alone: the others keep their heights above it as they descend.
+    """
+    if _any_flies_alone(flight):
+        return []
+    gripped = flight.observation.gripped
+    held = np.logical_and(gripped[:-1], gripped[1:])
+    below: npt.NDArray[np.bool_] = np.any(_above_rotors(flight)[:, held], axis=1)
+    return [
+        vehicle
+        for k, vehicle in enumerate(flight.roster.vehicles)
+        if below[k] and (vehicle.on_ground or flight.streams.setpoint[k, 2] <= TOUCHDOWN)
+    ]
+
+
+def held_by_cable(flight: FlightState) -> list[int]:
+    """Return the one or two vehicles that a caught strand holds back while the others descend.
+
+    They are aside or above by more than LAG, and by twice as much as any other: cable that comes to
+    lie on the floor pulls by 0.2 m. Those that land are held where they do not descend. Not while a
+    vehicle flies alone: it pulls its neighbours. Positions in a frame that moved show nothing.
+    """
+    if _any_flies_alone(flight):
+        return []
+    seen, streams, vehicles = flight.observation, flight.streams, flight.roster.vehicles
+    off = seen.position - streams.setpoint
+    off[:, 2] = np.maximum(off[:, 2], 0.0)
+    error = np.linalg.norm(off, axis=1)
+    flies = seen.armed & ~np.array([vehicle.on_ground for vehicle in vehicles])
+    flies &= streams.active | (seen.velocity[:, 2] > -DESCENT_SPEED)
+    flies[list(flight.placement.moved)] = False
+    error = np.where(flies & np.isfinite(error), error, 0.0)
+    far = error > LAG
+    held = 1 <= far.sum() <= 2 and error[~far].max(initial=0.0) < 0.5 * error[far].min()
+    return np.flatnonzero(far).tolist() if held else []
+
+
+def _any_flies_alone(flight: FlightState) -> bool:
+    """Return whether a vehicle in the air follows no setpoints, or may not.
+
+    Those whose setpoints ended as they came down, to let them land, do not count.
+    """
+    vehicles = flight.roster.vehicles
+    alone = [vehicles[k] for k in (flight.contingency.alone if flight.contingency else ())]
+    alone += [*unanswering(flight), *(one for one in vehicles if not flight.received(one))]
+    return any(vehicle.armed and not vehicle.on_ground for vehicle in alone)
+
+
+def _above_rotors(flight: FlightState) -> npt.NDArray[np.bool_]:
+    """Return above which turning rotors which strands are (n, n - 1)."""
+    above: npt.NDArray[np.bool_] = above_rotors(flight.setup.plan, _places(flight))[0]
+    above[~flight.observation.armed] = False
+    return above
+
+
+def _places(flight: FlightState) -> npt.NDArray[np.float64]:
+    """Return the grip points (1, n, 3): as planned, or where vehicles are that do not follow."""
+    places, position = flight.streams.setpoint.copy(), flight.observation.position
+    for k in not_following(flight):
+        if np.isfinite(position[k]).all():
+            places[k] = position[k]
+    return places[None]
+
+
+def not_following(flight: FlightState) -> list[int]:
+    """Return the vehicles that fly without setpoints."""
+    streams = flight.streams
+    return [k for k in np.flatnonzero(~streams.active).tolist() if k not in streams.fallen]
+
+
+def adrift(flight: FlightState) -> list[int]:
+    """Return the vehicles that do not know where they are, so that they keep no place."""
+    seen, lost = flight.observation, ~flight.observation.located
+    if flight.setup.fleet.frame == "gps":
+        lost = lost | seen.poor_fix
+    return [k for k in np.flatnonzero(lost).tolist() if k not in flight.streams.fallen]
+
+
+def waits_to_land(flight: FlightState, since: float) -> bool:
+    """Return whether the team must not descend yet, because a vehicle would stay above it.
+
+    A vehicle that flies alone, and does not descend as it is commanded to, is waited for during
+    LONGEST_HOVER, and T longer where it is not in a landing mode: one that receives nothing lands
+    by itself T after the loss. So is a silent vehicle, which may be one. A pilot's vehicle is not.
+    ``since`` is when the last one began to fly without setpoints, or the team left the plan.
+    """
+    limits, vehicles = flight.setup.fleet.limits, flight.roster.vehicles
+    flying = [k for k, one in enumerate(vehicles) if one.armed and k not in flight.streams.fallen]
+    silent_for = [flight.now - vehicles[k].received_at for k in flying]
+    if any(limits.silence < silence <= limits.hold for silence in silent_for):
+        return True
+    rising = flight.observation.velocity[:, 2]
+    hovering = [
+        vehicles[k]
+        for k in set(not_following(flight)).intersection(flying)
+        if not vehicles[k].in_manual_mode
+        and flight.received(vehicles[k])
+        and rising[k] > -DESCENT_SPEED
+    ]
+    landing = all(vehicle.in_mode("land") for vehicle in hovering)
+    longest = LONGEST_HOVER + (0.0 if landing else limits.hold)
+    return bool(hovering) and flight.now - since <= longest
+
+
+def stays_above(flight: FlightState) -> Vehicle | None:
+    """Return a vehicle on the cable that hovers LAG or more above its place in the team's descent.
+
+    Of a silent one the last position counts, until it lands by itself T after it was received. One
+    on the ground reports a height above it where its barometer drifts.
+    """
+    seen, longest = flight.observation, flight.setup.fleet.limits.hold
+    above = seen.position[:, 2] - flight.streams.setpoint[:, 2]
+    for k, vehicle in enumerate(flight.roster.vehicles):
+        flies = vehicle.armed and not vehicle.on_ground and k not in flight.streams.fallen
+        descends = flight.received(vehicle) and seen.velocity[k, 2] < -DESCENT_SPEED
+        if flies and above[k] > LAG and flight.received(vehicle, longest) and not descends:
+            return vehicle if flight.attached else None
+    return None
+
+
+def nearest_open(flight: FlightState, response: Response) -> float | None:
+    """Return the mission time at which a response is open, nearest to where the clock can stop."""
+    windows_, clock, gates = flight.setup.windows, flight.clock, flight.setup.gates
+    flags = windows_.land if response is Response.LAND else windows_.release
+    gate = flight.progress.gate
+    gate_before = gates[gate - 1].time if gate else 0.0
+    gate_after = gates[gate].time if gate < len(gates) else flight.setup.plan.duration
+    stopping = 0.5 * clock.rate * abs(clock.rate) / clock.steepest
+    moment = min(max(clock.time + stopping, gate_before), gate_after)
+    return windows_.nearest(flags, moment, rewind_end(flight), gate_after)
+
+
+def unanswering(flight: FlightState) -> list[Vehicle]:
+    """Return the vehicles that may not receive: they have not answered lately."""
+    seen, longest = flight.observation, answer_limit(flight.setup.fleet.limits)
+    return [
+        vehicle
+        for k, vehicle in enumerate(flight.roster.vehicles)
+        if seen.unanswered_for(k) > longest and k not in flight.streams.fallen
+    ]
+
+
+ARRIVED = 0.1
+"""Seconds of mission time between the clock and its target at which the team has arrived."""
+
+
+def contingency_of(flight: FlightState) -> Contingency:
+    """Return the flight outside the plan; raises ValueError while the team flies the plan."""
+    if flight.contingency is None:
+        raise ValueError("the team has not left the plan")
+    return flight.contingency
+
+
+def stopped(flight: FlightState, contingency: Contingency, message: str) -> Contingency:
+    """Return the contingency of a team that moves no farther along the plan, and report it.
+
+    A team that was to release elsewhere releases here only where no cable hangs above a rotor.
+    """
+    if contingency.target is None or contingency.step is not Step.APPROACH:
+        return contingency
+    flight.report("contingency", f"stopping here: {message}")
+    releases = contingency.response is Response.RELEASE
+    response = Response.RELEASE_HERE if releases else contingency.response
+    return replace(contingency, target=None, response=response)
+
+
+def move_on(flight: FlightState) -> Contingency:
+    """Let the clock move towards the chosen moment; return the contingency after it."""
+    follow_swing(flight)
+    monitor(flight)
+    contingency = _notice_motion(flight, _notice_alone(flight, contingency_of(flight)))
+    flight.clock.urgent, flight.clock.target = True, _rate(flight, contingency.target)
+    advance_clock(flight)
+    return contingency
+
+
+def at_rest(flight: FlightState) -> bool:
+    """Return whether the team rests at the chosen moment, or where it must stop."""
+    late = flight.now - contingency_of(flight).step_since > flight.setup.fleet.limits.hold
+    return flight.clock.stopped and (late or _arrived(flight, contingency_of(flight)))
+
+
+def _arrived(flight: FlightState, contingency: Contingency) -> bool:
+    target = contingency.target
+    return target is None or abs(target - flight.clock.time) < ARRIVED
+
+
+def _rate(flight: FlightState, target: float | None) -> float:
+    """Return the clock's rate towards a mission time, as slow as in the plan where that is needed.
+
+    The team waits for a vehicle that is silent or returns to offboard mode: one that does not
+    follow must not be left behind.
+    """
+    clock = flight.clock
+    left = 0.0 if target is None else target - clock.time
+    if abs(left) < 0.02 or _any_silent(flight) or _rejoins(flight):
+        return 0.0
+    braking = 0.5 * math.sqrt(2.0 * clock.steepest * abs(left))
+    return math.copysign(min(allowed_pace(flight, backwards=left < 0.0), braking), left)
+
+
+def _any_silent(flight: FlightState) -> bool:
+    return not all(flight.received(vehicle) for vehicle in flight.roster.vehicles)
+
+
+def _rejoins(flight: FlightState) -> bool:
+    return bool(flight.streams.rejoining) or flight.guidance.blending
+
+
+def _notice_alone(flight: FlightState, contingency: Contingency) -> Contingency:
+    alone = tuple(not_following(flight))
+    if alone == contingency.alone:
+        return contingency
+    contingency = replace(contingency, alone=alone, alone_since=flight.now)
+    return stopped(flight, contingency, "a vehicle flies without setpoints")
+
+
+def _notice_motion(flight: FlightState, contingency: Contingency) -> Contingency:
+    """Take note that the team moves on, has arrived, or waits for a vehicle.
+
+    One that receives nothing soon lands by itself: the others must not descend before it.
+    """
+    moves = abs(flight.clock.rate) >= STOPPED_RATE
+    waits = _any_silent(flight) or bool(unanswering(flight)) or _rejoins(flight)
+    if moves or waits or _arrived(flight, contingency):
+        return replace(contingency, moving_at=flight.now)
+    return contingency
+
 
 DISARM_AFTER = 5.0
 """Seconds on the ground after which a vehicle that has not disarmed by itself is commanded to."""

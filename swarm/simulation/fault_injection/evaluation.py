@@ -10,7 +10,7 @@ from swarm.certification.monitor import Monitor
 from swarm.flight.failures import FailureKind
 from swarm.flight.policy import Response
 from swarm.flight.snapshot import Event
-from swarm.simulation.fault_injection.failure_case import FailureCase
+from swarm.simulation.fault_injection.failure_cases import FailureCase
 from swarm.simulation.fault_injection.stepped_simulation import SteppedSimulation
 
 SAMPLE_INTERVAL: Final = 0.1

@@ -1,12 +1,126 @@
-"""The table of failure cases."""
+"""Failure cases: the fault, the required detection and the allowed ends; the table of them.
+
+Failures outside the links (files, processes, sockets) are listed with the tests that cause them.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
 from swarm.errors import InputError, Problem, Refused
 from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.planning import Plan
-from swarm.simulation.fault_injection.failure_case import End, FailureCase, Part
+
+Part = Literal["fold", "grab", "release"]
+"""The part of the flight in which a fault occurs."""
+
+Group = Literal["one vehicle", "links", "ground station", "world"]
+StationFault = Literal["stalled", "killed", "interrupted", "interrupted twice"]
+End = Literal["continued", "landed", "released and landed", "landed by failsafe", "completed"]
+"""How a flight ends after a fault; "continued" is a flight that is still on its plan."""
+
+
+@dataclass(frozen=True)
+class FailureCase:
+    """A fault, and the required behaviour of the team.
+
+    - ``faults``: those of the emulator, without time and vehicle; with ``whole_team`` they hit all
+      vehicles. ``station_fault`` is a fault of the ground station, ``lost_message`` a message that
+      is lost. ``duration`` in seconds, 0 for a permanent fault.
+    - ``detection_limit``: seconds within which the fault must be detected, None where no detection
+      is required. It is detected by an event, or with ``slows_clock`` by a slower mission clock.
+      With ``may_be_hidden`` the time counts only while the fault has a measurable effect, or, but
+      for slips, while the vehicle is outside its tracking radius.
+    - ``allowed_ends``: with ``pilot_lands`` a pilot lands the vehicle along with the team.
+    - ``loses_vehicle``: the fault itself takes a vehicle out of the air. ``moves_certified``: it
+      moves vehicles or cable beyond the certificate. ``vehicle_drifts``: it does so with one
+      vehicle, and with the cable only where it cannot be released.
+    - ``allowed_strikes``: number of rotor strikes on cable that may happen; contacts of one vehicle
+      that are more than a second apart are several. With ``own_strikes`` those of the failed
+      vehicle, which drifts, are not counted. With ``cannot_follow`` the vehicle
+      stays where it is and the others with it; one more strike may happen where the team can
+      neither land nor release without cable on a rotor. With ``lands_alone`` the failsafes
+      of the autopilots land the vehicles where they are; one more strike may happen where the
+      plan has no window for landing. During the first ``fall_time`` seconds any number may: the
+      cable falls because of the fault.
+    - ``stream_loss``: vehicles fly on without setpoints, so the worst case of the stream loss
+      certificate applies: the mission's own clearances.
+    - ``needs_cable``: without cable there is no such fault, or none that has to slow the team.
+      ``least_vehicles``: so many are compared to detect it.
+    - ``explanation``: the reason for exceptions.
+    """
+
+    name: str
+    group: Group
+    allowed_ends: tuple[End, ...]
+    faults: tuple[Mapping[str, Any], ...] = ()
+    part: Part = "fold"
+    detection_limit: float | None = None
+    slows_clock: bool = False
+    may_be_hidden: bool = False
+    whole_team: bool = False
+    loses_vehicle: bool = False
+    moves_certified: bool = False
+    vehicle_drifts: bool = False
+    allowed_strikes: int = 0
+    own_strikes: bool = False
+    cannot_follow: bool = False
+    lands_alone: bool = False
+    fall_time: float = 0.0
+    stream_loss: bool = False
+    explanation: str = ""
+    station_fault: StationFault | None = None
+    duration: float = 0.0
+    lost_message: str = ""
+    pilot_lands: bool = False
+    needs_cable: bool = False
+    least_vehicles: int = 1
+
+
+class SystemFailureCase(NamedTuple):
+    """A failure of files, processes or sockets, the required behaviour, and its tests."""
+
+    name: str
+    expected: str
+    tests: tuple[str, ...]
+
+
+SYSTEM_FAILURE_CASES: tuple[SystemFailureCase, ...] = (
+    SystemFailureCase(
+        "disk full",
+        "reported once; the flight continues, the record keeps the data written before",
+        (
+            "tests/ground/test_fly.py::"
+            "test_a_disk_that_becomes_full_in_flight_damages_the_record_only",
+            "tests/ground/test_record.py::test_a_full_disk_damages_the_record_only",
+        ),
+    ),
+    SystemFailureCase(
+        "viewer hangs",
+        "no setpoint is late; the viewer loses the data that it does not read",
+        (
+            "tests/ground/test_flight_process.py::test_a_slow_caller_does_not_delay_the_flight",
+            "tests/view/test_rerun_log.py::test_a_stalled_sink_delays_neither_flight_nor_other_sinks",
+            "tests/view/test_rerun_log.py::test_a_killed_sink_delays_neither_flight_nor_other_sinks",
+        ),
+    ),
+    SystemFailureCase(
+        "killed in flight and resumed",
+        "the record lacks one second at most; the next process finds the team and holds it",
+        (
+            "tests/ground/test_fly.py::"
+            "test_after_sigkill_only_the_last_second_of_the_record_is_missing",
+            "tests/flight/test_resuming.py",
+            "tests/ground/test_resume.py",
+        ),
+    ),
+    SystemFailureCase(
+        "foreign packets on the links",
+        "spoofed, replayed and fuzzed packets and floods change no setpoint",
+        ("tests/flight/test_security.py", "tests/ground/test_flood.py"),
+    ),
+)
+
 
 _CONTINUED: tuple[End, ...] = ("continued", "completed")
 _LANDED: tuple[End, ...] = ("landed", "released and landed")

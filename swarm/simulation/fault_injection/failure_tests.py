@@ -22,8 +22,7 @@ from swarm.simulation.fault_injection.evaluation import (
     Injection,
     evaluate,
 )
-from swarm.simulation.fault_injection.failure_case import FailureCase, Part
-from swarm.simulation.fault_injection.failure_cases import FAILURE_CASES
+from swarm.simulation.fault_injection.failure_cases import FAILURE_CASES, FailureCase, Part
 from swarm.simulation.fault_injection.results_file import CaseTrials
 from swarm.simulation.fault_injection.stepped_simulation import (
     TEAM_AUTOPILOTS,

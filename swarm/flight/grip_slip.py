@@ -18,8 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.flight.detect.latch import Latch
-from swarm.flight.failures import Failure, FailureKind, Finding
+from swarm.flight.failures import Failure, FailureKind, Finding, Latch
 from swarm.flight.load import TAUT, end_forces
 from swarm.flight.observation import Expected, Observation
 from swarm.geometry.catenary import STANDARD_GRAVITY

@@ -1,1 +1,0 @@
-"""ArduCopter 4.6: modes, commands, failsafes, setpoints."""

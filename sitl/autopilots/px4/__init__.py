@@ -1,1 +1,0 @@
-"""PX4 1.16: modes, commands, failsafes, setpoints, telemetry."""
