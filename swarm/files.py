@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from swarm.errors import InputError, Problem, reason
+from swarm.errors import InputError, Problem, nearest, reason
 
 DEEPEST_NESTING = 64
 """Largest depth of nesting: parsers recurse, and a hostile file must not crash them."""
@@ -79,11 +79,22 @@ def _finite(text: str) -> float:
     return value
 
 
+def _beside(path: Path) -> list[str]:
+    """Return the names of the files of the same kind in the folder of a path."""
+    try:
+        return [each.name for each in path.parent.iterdir() if each.suffix == path.suffix]
+    except OSError:
+        return []
+
+
 def read_bytes(path: str | os.PathLike[str], largest: int) -> bytes:
     """Return a file of at most ``largest`` bytes; raises :class:`InputError` otherwise."""
     try:
         with Path(path).open("rb") as file:
             data = file.read(largest + 1)
+    except FileNotFoundError as error:
+        message = reason(error) + nearest(Path(path).name, _beside(Path(path)))
+        raise InputError([Problem(os.fspath(path), message)]) from None
     except OSError as error:
         raise InputError([Problem(os.fspath(path), reason(error))]) from None
     if len(data) > largest:

@@ -94,6 +94,20 @@ def test_a_knot_name_with_an_underscore_is_a_word() -> None:
         ),
         ("hold_time=2", "m.yaml: hold_time: expected a number >= 4 in s, got 2"),
         (
+            "vehicles.radius=25 cm",
+            "m.yaml: vehicles.radius: expected a length > 0 and <= 5 in metres, got '25 cm': "
+            "write 0.25",
+        ),
+        (
+            "vehicles.endurance=10min",
+            "m.yaml: vehicles.endurance: expected a number >= 60 and <= 86400 in s, got '10min': "
+            "write 600",
+        ),
+        (
+            "vehicles.max_speed=1.2.3km/h",
+            "m.yaml: vehicles.max_speed: expected a number > 0 and <= 100 in m/s, got '1.2.3km/h'",
+        ),
+        (
             "vehicles.payload=15",
             "m.yaml: vehicles: expected payload of at most 5 times mass (1.5 kg), got 15: did you "
             "mean 0.015? For a larger vehicle give both, for example: vehicles: {mass: 15, "

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding
-from swarm.cli.inputs import JSON, REPLAN, SET, ProgressLine, print_json, progress_bar
+from swarm.cli.inputs import JSON, OUTPUT, REPLAN, SET, ProgressLine, print_json, progress_bar
 from swarm.cli.planning import load_source
 from swarm.errors import InputError, Problem, Refused, VehicleError
 from swarm.files import read_text, write_text
@@ -84,7 +84,7 @@ class Options:
 @click.option(
     "--fleet",
     "fleet_file",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=OUTPUT,
     help="Fleet file: vehicles and their links. Default: the built-in emulator.",
 )
 @click.option("--fix", is_flag=True, help="Set wrong parameters, after a question.")

@@ -10,6 +10,7 @@ from swarm.cli.inputs import (
     FILE,
     JSON,
     MISSION,
+    OUTPUT,
     REPLAN,
     SET,
     VERBOSE,
@@ -41,9 +42,13 @@ from swarm.verification import verify_trace
     help="Emulated cable: a chain of masses, or catenaries without inertia.  [default: swinging]",
 )
 @click.option("--no-cable", is_flag=True, help="Fly without cable; simulate the grips.")
-@click.option("--report", type=FILE, help="Write a report (one HTML file).")
-@click.option("--plot", type=FILE, help="Plot distances, tracking errors and mission clock (PNG).")
-@click.option("--recording", type=FILE, help="Write a Rerun recording (.rrd) for swarm view FILE.")
+@click.option("--report", type=OUTPUT, help="Write a report (one HTML file).")
+@click.option(
+    "--plot", type=OUTPUT, help="Plot distances, tracking errors and mission clock (PNG)."
+)
+@click.option(
+    "--recording", type=OUTPUT, help="Write a Rerun recording (.rrd) for swarm view FILE."
+)
 @click.option(
     "--trial", type=click.IntRange(0), help="Repeat one trial of swarm trials, by its number."
 )

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from swarm.cli.exporting import PLANNED, SAMPLED, export_plan, export_samples, require_suffix
-from swarm.cli.inputs import REPLAN, SET
+from swarm.cli.inputs import REPLAN, SET, Output
 from swarm.cli.planning import load_source
 from swarm.errors import InputError, Problem
 from swarm.formats.samples import Samples, sampled_flight
@@ -19,7 +19,7 @@ from swarm.ground.record_reader import recorded_events, recorded_flight, recorde
     "-o",
     "--output",
     required=True,
-    type=click.Path(path_type=Path),
+    type=Output(path_type=Path),
     help="The file or folder to write; the end of its name chooses the format.",
 )
 @SET

@@ -13,9 +13,9 @@ from rich.table import Table
 
 from swarm import planner
 from swarm.cli.inputs import (
-    FILE,
     JOBS,
     JSON,
+    OUTPUT,
     REPLAN,
     SCHEDULER,
     SET,
@@ -109,10 +109,10 @@ class FailureOptions:
 @click.option(
     "-o",
     "--output",
-    type=FILE,
+    type=OUTPUT,
     help="Append each result (JSON lines); results that the file holds are not flown again.",
 )
-@click.option("--report", type=FILE, help="Write a report (one HTML file).")
+@click.option("--report", type=OUTPUT, help="Write a report (one HTML file).")
 @click.pass_context
 def failures(
     context: click.Context,

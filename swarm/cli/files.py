@@ -7,7 +7,7 @@ from typing import Any, get_args
 import click
 from pydantic.fields import FieldInfo
 
-from swarm.cli.inputs import print_json
+from swarm.cli.inputs import OUTPUT, print_json
 from swarm.errors import InputError, Problem, reason
 from swarm.files import write_text
 from swarm.knots.catalog import choose_knot
@@ -91,7 +91,7 @@ KINDS = ("mission", "fleet", "world", "scenario")
 @click.option(
     "-o",
     "--output",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=OUTPUT,
     help="Output file. Default: KNOT.yaml in the current folder.",
 )
 @click.option(

@@ -1,6 +1,7 @@
 """Parts that all commands share: common options, the progress line, JSON output."""
 
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -25,7 +26,22 @@ def missions(
     return [CompletionItem(incomplete, type="file"), *map(CompletionItem, names)]
 
 
+class Output(click.Path):
+    """A file or folder to write, refused before the work where it cannot be written."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Return the path; fails where its folder does not exist or is not writable."""
+        super().convert(value, param, ctx)
+        path = Path(value)
+        if not path.parent.is_dir():
+            self.fail(f"{value}: no such folder: {path.parent}", param, ctx)
+        if not os.access(path if path.exists() else path.parent, os.W_OK):
+            self.fail(f"{value}: permission denied", param, ctx)
+        return path
+
+
 FILE = click.Path(dir_okay=False, path_type=Path)
+OUTPUT = Output(dir_okay=False, path_type=Path)
 MISSION = click.argument("mission", metavar="MISSION", shell_complete=missions)
 SET = click.option(
     "--set",

@@ -9,7 +9,7 @@ import click
 from rich.console import Console
 from rich.progress import track
 
-from swarm.cli.inputs import JSON, SET, print_json
+from swarm.cli.inputs import JSON, OUTPUT, SET, print_json
 from swarm.errors import Interrupted
 from swarm.files import read_text
 from swarm.knots.catalog import lookup_knot, table_names
@@ -92,7 +92,7 @@ def print_planned(options: PlanOptions, *, as_json: bool) -> int:
 @JSON
 @click.option(
     "--plot",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=OUTPUT,
     help="Plot the grid diagram of NAME (PNG).",
 )
 @click.option(
@@ -116,7 +116,7 @@ def print_planned(options: PlanOptions, *, as_json: bool) -> int:
     "--output",
     "--to",
     "output",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=OUTPUT,
     help="With --plan: append rows to this file (JSON lines); its knots are not planned again.",
 )
 @click.option(

@@ -12,6 +12,7 @@ from swarm.cli.inputs import (
     FILE,
     JSON,
     MISSION,
+    OUTPUT,
     REPLAN,
     SET,
     VERBOSE,
@@ -37,18 +38,18 @@ from swarm.reports.studies_text import print_front
 @VERBOSE
 @click.option(
     "--save",
-    type=FILE,
+    type=OUTPUT,
     help="Write the cleared plan with its certificate (FILE.plan), to be reviewed and flown.",
 )
 @click.option(
     "--export",
-    type=FILE,
+    type=OUTPUT,
     help="Write the motion of every grip point (ENU, SI): .csv, .mcap, .parquet or .rosbag, every "
     "0.05 s; a cleared plan also as .skyc or .crazyswarm, as swarm export.",
 )
 @click.option(
     "--plot",
-    type=FILE,
+    type=OUTPUT,
     help="Plot grid diagram, plan view and folded cable (PNG); with --front, the Pareto front.",
 )
 @click.option(
@@ -62,10 +63,10 @@ from swarm.reports.studies_text import print_front
     type=FILE,
     help="Fleet file: plan for its tracking error, as swarm check --hop measured it.",
 )
-@click.option("--report", type=FILE, help="Write a report (one HTML file).")
+@click.option("--report", type=OUTPUT, help="Write a report (one HTML file).")
 @click.option(
     "--sheet",
-    type=FILE,
+    type=OUTPUT,
     help="Write a layout sheet to print (HTML): cable, grip marks, pads, lay line.",
 )
 @click.option(

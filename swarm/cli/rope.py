@@ -9,9 +9,9 @@ from rich.console import Console
 
 from swarm import planner
 from swarm.cli.inputs import (
-    FILE,
     JSON,
     MISSION,
+    OUTPUT,
     REPLAN,
     SET,
     print_json,
@@ -67,8 +67,8 @@ class RopeOptions:
     help="With --flown: use the emulator's ground truth in the record, not the reports.",
 )
 @click.option("--compare", is_flag=True, help="Also move the rope on the paper's trajectory.")
-@click.option("--plot", type=FILE, help="Plot the rope's distances and its knot (PNG).")
-@click.option("--report", type=FILE, help="Write a report (one HTML file).")
+@click.option("--plot", type=OUTPUT, help="Plot the rope's distances and its knot (PNG).")
+@click.option("--report", type=OUTPUT, help="Write a report (one HTML file).")
 @click.pass_context
 def rope(
     context: click.Context,

@@ -16,6 +16,7 @@ from swarm.cli.inputs import (
     JOBS,
     JSON,
     MISSION,
+    OUTPUT,
     REPLAN,
     SCHEDULER,
     SET,
@@ -67,9 +68,9 @@ class TrialOptions:
 @click.option("--compare", is_flag=True, help="Also fly the paper's trajectory.")
 @JOBS
 @SCHEDULER
-@click.option("-o", "--output", type=FILE, help="Write one row per trial (Parquet).")
-@click.option("--plot", type=FILE, help="Plot the distributions of the distances (PNG).")
-@click.option("--report", type=FILE, help="Write a report (one HTML file).")
+@click.option("-o", "--output", type=OUTPUT, help="Write one row per trial (Parquet).")
+@click.option("--plot", type=OUTPUT, help="Plot the distributions of the distances (PNG).")
+@click.option("--report", type=OUTPUT, help="Write a report (one HTML file).")
 @click.pass_context
 def trials(
     context: click.Context,

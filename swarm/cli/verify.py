@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from swarm.cli.inputs import JSON, print_json
+from swarm.cli.inputs import JSON, OUTPUT, print_json
 from swarm.errors import Refused
 from swarm.front.plans import load_plan
 from swarm.ground.observations import parse_observation
@@ -39,7 +39,7 @@ from swarm.reports.record_text import print_record
 )
 @click.option(
     "--plot",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=OUTPUT,
     help="Draw the positions in the hold, the tracking errors and the mission clock (PNG).",
 )
 @click.pass_context

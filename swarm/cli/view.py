@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from swarm.cli.inputs import REPLAN, SET
+from swarm.cli.inputs import OUTPUT, REPLAN, SET
 from swarm.cli.planning import load_source
 from swarm.errors import InputError, Interrupted, Problem, reason
 from swarm.ground.record_reader import recorded_flight, recorded_plan
@@ -37,7 +37,7 @@ _RECORDING = b"RRF"
 @click.option(
     "--screenshot",
     "picture",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=OUTPUT,
     help="Render a PNG without a window; needs no display.",
 )
 @click.option("--at", type=float, metavar="SECONDS", help="With --screenshot: the time to show.")
@@ -54,7 +54,7 @@ _RECORDING = b"RRF"
 )
 @click.option(
     "--output",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=OUTPUT,
     help="With MISSION: write the recording of the plan to this file (.rrd).",
 )
 def view(

@@ -23,16 +23,16 @@ from swarm.errors import InputError, Problem, nearest, shown
 from swarm.files import DEEPEST_NESTING
 from swarm.mission.yaml_lines import key_lines, line_of
 
-_SMALLER_UNITS: Mapping[str, tuple[float, ...]] = {
-    "metres": (1e-3, 1e-2),  # millimetres, centimetres
-    "kg": (1e-3,),  # grams
-    "kg/m": (1e-3,),  # grams per metre
-    "m/s": (1.0 / 3.6,),  # kilometres per hour
-    "m/s²": (1e-3,),
-    "newtons": (1e-3,),
-    "s": (1e-3,),  # milliseconds
+_UNITS: Mapping[str, Mapping[str, float]] = {
+    "metres": {"mm": 1e-3, "cm": 1e-2, "m": 1.0},
+    "kg": {"g": 1e-3, "kg": 1.0},
+    "kg/m": {"g/m": 1e-3, "kg/m": 1.0},
+    "m/s": {"km/h": 1.0 / 3.6, "m/s": 1.0},
+    "m/s²": {"mm/s²": 1e-3, "m/s²": 1.0},
+    "newtons": {"mN": 1e-3, "N": 1.0},
+    "s": {"ms": 1e-3, "s": 1.0, "min": 60.0},
 }
-"""Unit of a key → the smaller units that people write, in this unit."""
+"""Unit of a key → the units that people write, in this unit."""
 
 
 _LARGER_UNITS: Mapping[str, float] = {"s": 60.0}
@@ -51,7 +51,8 @@ def other_unit(value: float, unit: str, bounds: tuple[float, float], typical: An
     """
     least, most = bounds
     known = isinstance(typical, int | float) and typical > 0
-    values = [share * value for share in _SMALLER_UNITS.get(unit, ()) if value > most]
+    smaller = [share for share in _UNITS.get(unit, {}).values() if share < 1.0]
+    values = [share * value for share in smaller if value > most]
     values = [one for one in values if least <= one <= most]
     if 0 < value < least and known and unit in _LARGER_UNITS:
         longer = _LARGER_UNITS[unit] * value
@@ -303,12 +304,26 @@ def _nearest_key(model: type[BaseModel], keys: list[str]) -> str:
 def _other_unit(field: FieldInfo | None, value: Any) -> str:
     """Return a hint for a number beyond its range that would be in range in another unit."""
     extra = field.json_schema_extra if field else None
-    if field is None or not isinstance(extra, dict) or not _is_finite_number(value):
+    if field is None or not isinstance(extra, dict):
+        return ""
+    if isinstance(value, str):
+        return _without_unit(value, str(extra.get("unit")))
+    if not _is_finite_number(value):
         return ""
     least, most = extra.get("minimum", 0.0), extra.get("maximum", math.inf)
     if not isinstance(least, int | float) or not isinstance(most, int | float):
         return ""
     return other_unit(value, str(extra.get("unit")), (least, most), field.default)
+
+
+def _without_unit(text: str, unit: str) -> str:
+    """Return a hint: the number of a text such as ``10cm``, in the unit of its key."""
+    match = re.fullmatch(r"([\d.]+) ?(\D+)", text.strip())
+    share = _UNITS.get(unit, {}).get(match[2]) if match else None
+    try:
+        return f": write {share * float(match[1]):.6g}" if match and share else ""
+    except ValueError:  # several points
+        return ""
 
 
 def _is_finite_number(value: Any) -> bool:
