@@ -1,9 +1,20 @@
 """The smallest clearances of a plan over continuous time, for all tracking errors in the radius.
 
-Each kind of clearance is a family of pairs with an evaluator that bounds the margin of a pair on an
-interval of time (:func:`swarm.certification.minima.smallest`). "Certified" means: in the
-quasi-static cable model, every segment the catenary of its length between its two grip points; and
-with ``fold.swing`` in metres, in the tube around it, too (:mod:`.tube_radii`).
+"Certified" means: in the quasi-static cable model, every segment the catenary of its length between
+its two grip points; and with ``fold.swing`` in metres, in the tube around it, too
+(:mod:`.tube_radii`).
+
+Theory of operation. A *margin* is a distance less the required one. Each kind of clearance is a
+:class:`.Family`: its pairs of objects, the spans of mission time in which it applies, and an
+evaluator. The evaluator gets boxes, each an interval of time, in wind also of both parts of the
+tilt, and for strands of the fractions along them, and returns for each box a lower bound of the
+margin in the whole box, and a margin that occurs in it. The tracking ball, swing and wind are part
+of the bound, so that a box with a bound above 0 needs no further proof.
+
+:func:`families` lists the kinds; all else walks that list. :func:`certified` asks whether every
+margin is kept, :func:`tightest_moments` measures the smallest of each kind for the certificate,
+:func:`violations` returns where margins fail, second by second, for the repair of a plan. A new
+kind is a family with an evaluator; repairs, reports and pages know kinds by their ``check``.
 """
 
 from collections.abc import Callable, Sequence

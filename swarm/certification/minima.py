@@ -3,6 +3,17 @@
 The coordinates of a box are mission time; in wind both parts of the tilt of the effective gravity;
 and, for margins of strands, the fractions between which a piece of each strand lies. The group of a
 box is the number of its pair.
+
+Theory of operation. A search begins with boxes that cover all coordinates of all pairs. For each
+box an evaluator encloses the smallest margin: it is nowhere in the box below ``low``, and about
+``high`` somewhere in it. A box is decided once ``low`` reaches the limit of the search, and is
+halved otherwise (:mod:`.branch_and_bound`). The limit is 0 where only the sign matters
+(:func:`failing`, :func:`smallest_in_boxes`), and the fifth smallest ``high`` so far, less a
+tolerance, where the tightest pairs are measured (:func:`smallest`). :func:`most_steps` finds the
+largest tracking radius, or tilt, in one search: it takes a smaller one where a margin is not kept.
+
+A search shows no more than is true: boxes that are too small to be halved, that remain after
+MOST_BOXES, or whose margins are not numbers are not shown, and their pair fails.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,9 +1,21 @@
 """The conductor: one mission clock for the team, from the first heartbeat to the last disarm.
 
 Sans-IO: bytes in (:meth:`Conductor.receive`), time in and bytes out (:meth:`Conductor.tick`). The
-same conductor flies emulated vehicles in virtual time and vehicles on real links. At every tick it
-observes, detects, decides and acts; the state is in :mod:`swarm.flight.state`, its stages in
-:mod:`swarm.flight.stages`, the responses to failures in :mod:`swarm.flight.policy`.
+same conductor flies emulated vehicles in virtual time and vehicles on real links.
+
+Theory of operation. The plan is a function of mission time, and :class:`.MissionClock` says how
+mission time goes on: at rate 1 as planned, slower for tracking errors and small clearances, not at
+all in a hold, backwards in a rewind. So all vehicles stay together on the certified path, whatever
+slows one of them. At every tick the conductor
+
+1. observes: the latest reports in one table, in the frame of the mission;
+2. detects: each detector compares them with the commanded state; the policy responds at once;
+3. decides: what the stage of the flight requires: a request of the operator, the next gate;
+4. acts: setpoints of all vehicles at one mission time go first, then commands.
+
+A flight has stages (:mod:`swarm.flight.stages`); the modules of :mod:`swarm.flight.modes` have what
+happens in each. Once the team has left its plan, it is in a contingency, which ends on the ground.
+The state is in :mod:`swarm.flight.state`, responses to failures are in :mod:`swarm.flight.policy`.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,15 @@
 """The response to each failure: one table.
 
+Theory of operation. Detectors compare the observed team with the commanded one and report a
+:class:`.FailureKind` (:mod:`swarm.flight.detect`, :mod:`swarm.flight.grip_slip`).
+:data:`TABLE` has the response to each kind while the plan is executed, and after the team has left
+it. How the team comes down is decided where it has come to rest, by :data:`ENDS` and by the
+:class:`Windows` that are open there: whether all can land together, and whether no cable hangs
+above a rotor, so that it may be released. Both tables are complete (:func:`cells`);
+``swarm failures --table`` prints them.
+
 Responses are the team's, never one vehicle's: vehicles that hold one cable must not part. Returning
-to launch, alone or together, is not among them. :mod:`swarm.flight.detect` has the detection.
+to launch, alone or together, is not among them.
 """
 
 from collections.abc import Iterator, Mapping
