@@ -113,10 +113,29 @@ def _stream_loss_of(setup: Setup) -> StreamLossCertificate:
     return certify_stream_loss(setup.plan, model)
 
 
-class FlightView:
-    """The values of a flight's ``state`` that shells read."""
+class Conductor:
+    """Flies a checked plan with a fleet.
 
-    state: FlightState
+    ``now`` is seconds since the flight's record began, in every call. ``state`` is for reading;
+    each of its parts is replaced by one module of this package alone.
+    """
+
+    def __init__(
+        self,
+        flight_plan: FlightPlan,
+        fleet: Fleet,
+        options: Options = Options(),  # noqa: B008 - frozen
+        *,
+        left: LeftOff | None = None,
+        then: Then = "hold",
+    ) -> None:
+        """Raise :class:`Refused` where the fleet is too small or the plan must not be flown.
+
+        ``left`` is where a flight broke off that is to be resumed, ``then`` the operator's order
+        for after all vehicles have been found.
+        """
+        setup = setup_of(flight_plan, fleet, options)
+        self.state = initial_state(setup, Resumption(left, then))
 
     @property
     def flight_plan(self) -> FlightPlan:
@@ -197,31 +216,6 @@ class FlightView:
     def over(self) -> bool:
         """Whether the flight has ended."""
         return self.state.stage is Stage.FINISHED
-
-
-class Conductor(FlightView):
-    """Flies a checked plan with a fleet.
-
-    ``now`` is seconds since the flight's record began, in every call. ``state`` is for reading;
-    each of its parts is replaced by one module of this package alone.
-    """
-
-    def __init__(
-        self,
-        flight_plan: FlightPlan,
-        fleet: Fleet,
-        options: Options = Options(),  # noqa: B008 - frozen
-        *,
-        left: LeftOff | None = None,
-        then: Then = "hold",
-    ) -> None:
-        """Raise :class:`Refused` where the fleet is too small or the plan must not be flown.
-
-        ``left`` is where a flight broke off that is to be resumed, ``then`` the operator's order
-        for after all vehicles have been found.
-        """
-        setup = setup_of(flight_plan, fleet, options)
-        self.state = initial_state(setup, Resumption(left, then))
 
     def receive(self, link: str, address: Address | None, data: bytes, now: float) -> bool:
         """Take bytes that arrived on a link from an address; return whether they were read."""

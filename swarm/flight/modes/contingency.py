@@ -39,6 +39,19 @@ TOUCHDOWN = 0.05
 LAG = 0.5
 """Metres by which a vehicle may stay off its place in a common descent: the largest tracking
 error of a vehicle that follows is 0.2 m in winds that plans allow for."""
+ARRIVED = 0.1
+"""Seconds of mission time between the clock and its target at which the team has arrived."""
+DISARM_AFTER = 5.0
+"""Seconds on the ground after which a vehicle that has not disarmed by itself is commanded to."""
+RELEASE_TIMEOUT, FALLEN_RELEASE_TIMEOUT = 5.0, 1.5
+"""Seconds for which the team waits for grippers to open; beside a fall, whose pull grows, less."""
+BLIND = 15.0
+"""Seconds after the setpoints have come down after which silent vehicles are not waited for."""
+FALLEN_TIMEOUT = 40.0
+"""Seconds after which nothing is expected from a fallen vehicle: its link may be broken."""
+GIVE_UP = 120.0
+"""Seconds beyond T after which a landing is given up: from the default ceiling, 30 m, the default
+descent at 0.6 m/s takes 50 s."""
 
 
 def windows(flight: FlightState) -> Windows:
@@ -69,16 +82,14 @@ def turning_below_cable(flight: FlightState) -> list[Vehicle]:
 
     None while a vehicle flies alone: the others keep their heights above it as they descend.
     """
-    if _any_flies_alone(flight):
+    vehicles, height = flight.roster.vehicles, flight.streams.setpoint[:, 2]
+    down = [k for k, one in enumerate(vehicles) if one.on_ground or height[k] <= TOUCHDOWN]
+    if not down or _any_flies_alone(flight):
         return []
     gripped = flight.observation.gripped
     held = np.logical_and(gripped[:-1], gripped[1:])
-    below: npt.NDArray[np.bool_] = np.any(_above_rotors(flight)[:, held], axis=1)
-    return [
-        vehicle
-        for k, vehicle in enumerate(flight.roster.vehicles)
-        if below[k] and (vehicle.on_ground or flight.streams.setpoint[k, 2] <= TOUCHDOWN)
-    ]
+    above = _above_rotors(flight)
+    return [vehicles[k] for k in down if above[k, held].any()]
 
 
 def held_by_cable(flight: FlightState) -> list[int]:
@@ -208,10 +219,6 @@ def unanswering(flight: FlightState) -> list[Vehicle]:
     ]
 
 
-ARRIVED = 0.1
-"""Seconds of mission time between the clock and its target at which the team has arrived."""
-
-
 def contingency_of(flight: FlightState) -> Contingency:
     """Return the flight outside the plan; raises ValueError while the team flies the plan."""
     if flight.contingency is None:
@@ -294,18 +301,6 @@ def _notice_motion(flight: FlightState, contingency: Contingency) -> Contingency
         return replace(contingency, moving_at=flight.now)
     return contingency
 
-
-DISARM_AFTER = 5.0
-"""Seconds on the ground after which a vehicle that has not disarmed by itself is commanded to."""
-RELEASE_TIMEOUT, FALLEN_RELEASE_TIMEOUT = 5.0, 1.5
-"""Seconds for which the team waits for grippers to open; beside a fall, whose pull grows, less."""
-BLIND = 15.0
-"""Seconds after the setpoints have come down after which silent vehicles are not waited for."""
-FALLEN_TIMEOUT = 40.0
-"""Seconds after which nothing is expected from a fallen vehicle: its link may be broken."""
-GIVE_UP = 120.0
-"""Seconds beyond T after which a landing is given up: from the default ceiling, 30 m, the default
-descent at 0.6 m/s takes 50 s."""
 
 _ANNOUNCED: Mapping[Response, str] = {
     Response.LAND: "landing together",
