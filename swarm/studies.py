@@ -16,8 +16,8 @@ from joblib import Parallel, delayed
 
 from swarm import planner
 from swarm.certification.assessment import Assessment, Tightest
+from swarm.certification.clearances import largest_tracking, robustness_of
 from swarm.certification.loads import loads
-from swarm.certification.robustness import largest_tracking, robustness_of
 from swarm.errors import InputError, Problem, Refused, reason
 from swarm.files import parse_json, read_text
 from swarm.geometry.catenary import STANDARD_GRAVITY

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarm.certification.assess import assess
+from swarm.certification.assessment import assess
 from swarm.errors import InputError
 from swarm.geometry.motion import Motion
 from swarm.mission import mission_for_knot, parse_mission

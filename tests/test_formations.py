@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarm.certification.assess import assess
+from swarm.certification.assessment import assess
 from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.errors import InputError, Refused
 from swarm.mission import Mission, parse_mission

@@ -13,8 +13,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from swarm import planner
 from swarm.certification.air import deepest_sinking
+from swarm.certification.budget import ShortBudget
 from swarm.certification.clearances import violations
-from swarm.certification.smallest_budgets import ShortBudget
 from swarm.errors import Refused
 from swarm.mission import mission_for_knot, parse_mission
 from swarm.planner.pacing import slowed_for_swing, timed_for_losses

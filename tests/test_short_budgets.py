@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from swarm.certification.smallest_budgets import ShortBudget
+from swarm.certification.budget import ShortBudget
 from swarm.planner.short_budgets import (
     ShortBudgets,
     budgets_after_urgent_stops,

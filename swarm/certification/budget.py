@@ -20,9 +20,8 @@ from swarm.certification.air import (
     jet_width,
     wind_down,
 )
-from swarm.certification.approaches import PIECES, PairSwing
-from swarm.certification.clearances import Moment, Place
-from swarm.certification.compared_pairs import all_pairs, exempt_length
+from swarm.certification.cable_spans import all_pairs, exempt_length
+from swarm.certification.clearances import Moment, Place, segment_name
 from swarm.certification.excitation import (
     DEVIATIONS,
     STEP,
@@ -31,8 +30,8 @@ from swarm.certification.excitation import (
     speeds_across,
     variances_along,
 )
-from swarm.certification.swing_tube import swing_tube
-from swarm.certification.tube_radii import BIN
+from swarm.certification.strand_pieces import BIN
+from swarm.certification.swing_tube import PIECES, PairSwing, swing_tube
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
 from swarm.geometry.distance import polyline_polyline
 from swarm.geometry.linear_response import linear_response
@@ -376,3 +375,74 @@ def table(rows: Iterable[Budget]) -> str:
         cells = [f"{row.time:>8.1f}s", *(f"{100 * value:>7.0f}cm" for value in values)]
         lines.append("  ".join([f"{'segments ' + pair:<24}", *cells]))
     return "\n".join(lines)
+
+
+_PAIRS = 12
+"""Pairs of strands whose nearest moment is evaluated with all effects: four times as many as a
+report lists."""
+
+
+def smallest_budgets(plan: Plan, swing: PairSwing) -> tuple[Budget, ...]:
+    """Return the rows with the least that remains, one for each of up to 12 pairs of strands.
+
+    All pairs are compared every half second while the cable is aloft, by the effects of tracking
+    and swing; these rows then have all effects. Least first.
+    """
+    rows = _rows(plan, swing, swing.close.left - swing.approach)
+    return tuple(sorted((row for _, row in rows), key=lambda row: row.remaining))
+
+
+@dataclass(frozen=True)
+class ShortBudget:
+    """A moment at which the budget of two strands is short, by ``metres``.
+
+    ``check`` is the check of their distance; ``swing`` how much nearer they come by swinging.
+    """
+
+    check: str
+    time: float
+    metres: float
+    swing: float
+
+
+def short_moments(plan: Plan, swing: PairSwing) -> tuple[ShortBudget, ...]:
+    """Return the moments at which budgets are short.
+
+    At all moments the other effects of a pair count as at its moment in :func:`smallest_budgets`.
+    """
+    found: list[ShortBudget] = []
+    close, left = swing.close, swing.close.left - swing.approach
+    for at, row in _rows(plan, swing, left):
+        pair = close.pairs[at]
+        check = "neighbouring segments" if pair[1] == pair[0] + 1 else "cable clearance"
+        short = left - (left[at] - row.remaining)
+        at_fault = np.flatnonzero((close.pairs == pair).all(axis=1) & (short < 0.0))
+        found += [
+            ShortBudget(check, float(close.times[k]), -float(short[k]), float(swing.approach[k]))
+            for k in at_fault
+        ]
+    return tuple(found)
+
+
+def _rows(plan: Plan, swing: PairSwing, left: Floats) -> list[tuple[int, Budget]]:
+    """Return the close pair of strands and the row, for each of the pairs with the least left."""
+    chosen: dict[tuple[int, int], int] = {}
+    for row in np.argsort(left, kind="stable").tolist():
+        i, j = swing.close.pairs[row].tolist()
+        chosen.setdefault((i, j), row)
+        if len(chosen) == _PAIRS:
+            break
+    required = plan.mission.clearance.cable
+    return [
+        (
+            row,
+            budget_at(
+                plan,
+                (segment_name(i), segment_name(j)),
+                float(swing.close.times[row]),
+                required,
+                swing,
+            ),
+        )
+        for (i, j), row in chosen.items()
+    ]

@@ -3,16 +3,24 @@
 The grip, the release and the spans with cable on the floor follow from the one legal order of
 phases; the statements of a phase are only compared with it. In a plan with another order, the cable
 counts as hanging all the time. Whether cable really lies, is drawn out in a line or descends
-without change is certified from the motion itself (:mod:`.floor_limits`).
+without change is certified from the motion itself (:mod:`.on_the_floor`).
+
+Of two segments that share a vehicle, the parts beyond the exempt length of cable at the shared grip
+are compared.
 """
 
 from dataclasses import dataclass
 
-from swarm.certification.floor_limits import LYING
+import numpy as np
+import numpy.typing as npt
+
 from swarm.planning import CableState, Plan
 from swarm.planning.phase_order import DeclaredCable, declared_cable, phase_order_error
 
 Spans = list[tuple[float, float]]
+
+LYING = 0.25
+"""Metres above the floor up to which a grip point holds cable that counts as lying on it."""
 
 
 @dataclass(frozen=True)
@@ -176,3 +184,51 @@ def _floor_problems(
                 )
             )
     return found
+
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
+
+MOST_EXEMPT = 0.5
+"""Largest exempt share of the shorter of two neighbours: half of every segment is compared."""
+
+
+def exempt_length(plan: Plan) -> float:
+    """Return the exempt length of cable on either side of a vehicle, metres.
+
+    Neighbouring segments meet at their vehicle. From this arc length on, each must keep the cable
+    clearance from all of the other: they must diverge at about 15° or more.
+    """
+    mission = plan.mission
+    return 4.0 * (mission.clearance.cable + mission.cable.diameter + mission.vehicles.tracking)
+
+
+def exempt_lengths(lengths: Floats, beyond: float) -> Floats:
+    """Return the exempt lengths (n − 2,) on either side of the inner vehicles, metres."""
+    shorter = np.minimum(lengths[:-1], lengths[1:])
+    found: Floats = np.minimum(beyond, MOST_EXEMPT * shorter)
+    return found
+
+
+def all_pairs(lengths: Floats, beyond: float, *, once: bool = False) -> tuple[Ints, Floats]:
+    """Return all pairs (q, 2) of segments to compare, and the compared parts (q, 2, 2).
+
+    Each of two neighbours is compared with the whole of the other from ``beyond`` metres of cable
+    away from their shared vehicle, or from half of the shorter one where that is less: two entries
+    per pair, of which the second leaves out what the first compares with ``once``.
+    """
+    first, second = np.triu_indices(len(lengths), 1)
+    pairs = np.stack([first, second], axis=1)
+    whole = np.tile([0.0, 1.0], (len(pairs), 2, 1))
+    neighbours = second == first + 1
+    i, j = pairs[neighbours].T
+    left, right = whole[neighbours].copy(), whole[neighbours].copy()
+    near = exempt_lengths(lengths, beyond)
+    left[:, 0, 1] = 1.0 - near / lengths[i]
+    right[:, 1, 0] = near / lengths[j]
+    if once:
+        right[:, 0, 0] = left[:, 0, 1]
+    return (
+        np.concatenate([pairs[~neighbours], pairs[neighbours], pairs[neighbours]]),
+        np.concatenate([whole[~neighbours], left, right]),
+    )

@@ -9,11 +9,9 @@ from dataclasses import InitVar, dataclass, replace
 
 import numpy as np
 
-from swarm.certification.assess import assess, with_robustness
-from swarm.certification.assessment import Assessment, Robustness, rounded_down
-from swarm.certification.clearances import Moment, tightest_moments
+from swarm.certification.assessment import Assessment, assess, rounded_down, with_robustness
+from swarm.certification.clearances import Moment, Robustness, confirmed, tightest_moments
 from swarm.certification.findings import Finding
-from swarm.certification.robustness import confirmed
 from swarm.certification.stream_loss import StreamLossCertificate
 from swarm.errors import Refused
 from swarm.notebook import table

@@ -76,9 +76,7 @@ class Minima:
         return found
 
 
-def roots(
-    pairs: int, spans: list[tuple[float, float]], width: float, others: Intervals = ()
-) -> Boxes:
+def roots(pairs: int, spans: Intervals, width: float, others: Intervals = ()) -> Boxes:
     """Return boxes of at most ``width`` seconds for all pairs over the given spans of time.
 
     They are as wide as the intervals of all ``others``, the coordinates beside time.
@@ -291,3 +289,41 @@ def _nth_smallest(values: Floats, count: int) -> float:
     if len(values) <= count:
         return np.inf
     return float(np.partition(values, count - 1)[count - 1])
+
+
+ROOT = 1.0
+"""Largest width in seconds of an initial box; bounds of wider ones are too weak to be of use."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """Pairs of one kind whose margins are bounded together.
+
+    ``others`` are the intervals of the coordinates beside time into which the evaluator divides a
+    pair. ``far`` tells for initial boxes whether their margins are shown to be positive without a
+    search. ``tolerance`` is the difference of reported and true margins at which a search may end.
+    """
+
+    check: str
+    names: Sequence[tuple[str, str]]
+    required: float
+    spans: Intervals
+    evaluate: Evaluator
+    others: Intervals = ()
+    far: Callable[[Boxes], Flags] | None = None
+    tolerance: float = TOLERANCE
+
+    def failing(self) -> tuple[int, float] | None:
+        """Return pair and time of a margin that is not shown to be kept, if any."""
+        boxes, initial = self.doubtful()
+        return failing(self.evaluate, boxes, initial, self.tolerance)
+
+    def doubtful(self) -> tuple[Boxes, int]:
+        """Return the initial boxes whose margins may be negative, and the number of all."""
+        boxes = self.roots()
+        initial = len(boxes)
+        return boxes if self.far is None else boxes.taken(~self.far(boxes)), initial
+
+    def roots(self) -> Boxes:
+        """Return the initial boxes for all pairs over all spans of time."""
+        return roots(len(self.names), self.spans, ROOT, self.others)

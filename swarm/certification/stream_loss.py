@@ -7,10 +7,16 @@ whole team loses its setpoints, or one vehicle does: then the others continue un
 silent for the fleet's ``limits.silence``, and stop along their paths. Where a clearance or a chord
 would fail, the mission clock's rate is limited: all these distances shrink with it. Rates are
 chosen by samples every STEP seconds of the fold, at the ends of these motions and halfway, and then
-certified for all times between (:mod:`.stream_loss_bound`), or lowered until they are: for every
+certified for all times between (:class:`StreamLossBound`), or lowered until they are: for every
 steady rate up to the limit. A clock that runs backwards has limits of its own, those of the
 reversed motion. All clearances of :mod:`.team_margins` count, of vehicles that were exactly on the
 plan, and of cable that hangs still.
+
+In the bound, a box belongs to a case (0: the whole team loses its setpoints, else that vehicle) and
+an interval of mission time. Its coordinates are the time of the loss, the coasting of the vehicles
+without setpoints (in seconds at their velocity then), and the advance of the others along the plan
+(in mission seconds). Margins are computed in the middle of a box; bounds of velocities,
+accelerations and of the sensitivity of strands extend them to the whole box.
 """
 
 from collections.abc import Sequence
@@ -21,18 +27,514 @@ from typing import NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.branch_and_bound import Boxes, Enclosure, search
 from swarm.certification.findings import Finding
-from swarm.certification.stream_loss_bound import Overrun, StreamLossBound
-from swarm.certification.stream_loss_samples import Losses, allocate_memory, write_margins
-from swarm.certification.team_margins import required_of
-from swarm.geometry.motion import reverse
+from swarm.certification.motion_bounds import BoundedMotion, largest_between, pieces_between
+from swarm.certification.team_margins import (
+    KINDS,
+    Query,
+    Required,
+    Strands,
+    Team,
+    allocate_strands,
+    allocate_team,
+    cable_margins,
+    required_of,
+    smallest,
+    vehicle_margins,
+)
+from swarm.geometry.distance import point_distance
+from swarm.geometry.motion import evaluate_piece, find_piece, reverse
+from swarm.jit import compiled, inner
 from swarm.planning import Plan, digest
 from swarm.planning.clock_limits import BANDWIDTH, SMOOTH, ClockLimits, clock_limits
+from swarm.signatures import Floats1, Floats2, Floats3, Floats4, Ints1
 from swarm.threads import side_by_side, usual_threads
 
 Floats = npt.NDArray[np.float64]
+
+
+class LossMotion(NamedTuple):
+    """The planned motion of n vehicles, and how it continues without setpoints.
+
+    ``times``, ``joints``, ``coefficients``, ``accelerations`` and ``jerks`` are those of a
+    :class:`.motion_bounds.BoundedMotion`. If all coast, each is up to ``lag`` (n,) seconds of
+    coasting behind the first; one that lands alone descends by ``descent`` metres (n,). Within
+    ``tracking`` metres of the planned positions at one time, everything is certified. ``end`` is
+    the last mission time that is reached.
+    """
+
+    times: Floats1
+    joints: Floats1
+    coefficients: Floats4
+    accelerations: Floats3
+    jerks: Floats3
+    lag: Floats1
+    descent: Floats1
+    tracking: float
+    end: float
+
+
+class Box(NamedTuple):
+    """A box: middles and half widths of the time of the loss, of coasting and of the advance.
+
+    ``rate`` is the mission clock's rate; coasting is in seconds at the velocity at the loss, the
+    advance in seconds of mission time.
+    """
+
+    case: int
+    rate: float
+    time: float
+    half: float
+    coast: float
+    coast_half: float
+    advance: float
+    advance_half: float
+
+
+@inner
+def write_state(box: Box, motion: LossMotion, team: Team, doubts: Floats) -> bool:
+    """Write the team's state, and whether a vehicle may be outside the tracking radius.
+
+    Its coordinates are the time of the loss, coasting and advance; ``doubts`` (3,) becomes the
+    uncertainty that the widths in these cause.
+    """
+    position, slopes, spread = team.position, team.slopes, team.spread
+    together = 1 if box.case == 0 else 2  # the coordinate in which the planned positions advance
+    after, after_half = (
+        (box.coast, box.coast_half) if box.case == 0 else (box.advance, box.advance_half)
+    )
+    moment, width = box.time + after, box.half + after_half
+    later, until = min(moment, motion.end), min(moment + width, motion.end)
+    piece, since, moving = find_piece(motion.times, later)
+    pieces = pieces_between(motion.joints, later - width, until)
+    largest = 0.0
+    for i in range(len(spread)):
+        evaluate_piece(motion.coefficients[piece], i, since, moving, team.scratch)
+        for axis in range(3):
+            position[i, axis] = team.scratch[0, axis]
+            slopes[0, i, axis] = slopes[together, i, axis] = team.scratch[1, axis]
+            slopes[3 - together, i, axis] = 0.0
+        acceleration = largest_between(motion.accelerations, pieces, i)
+        # Planned positions, of all vehicles at the same time.
+        spread[i] = 0.5 * acceleration * width * width
+        if moment + width > motion.end:
+            spread[i] += 2.0 * _norm(slopes[0, i]) * width
+        if box.case in (0, i + 1):
+            largest = max(largest, _coast(box, i, motion, team))
+    if largest <= motion.tracking:
+        doubts[0] = doubts[1] = doubts[2] = 0.0
+        return False
+    halves = box.half, box.coast_half, box.advance_half
+    for coordinate in range(3):
+        doubts[coordinate] = _apart(slopes[coordinate], team.scratch[0]) * halves[coordinate]
+    return True
+
+
+@inner
+def _apart(slopes: Floats, mean: Floats) -> float:
+    """Return how far slopes (n, 3) differ from their mean at most, and a tenth of that.
+
+    Distances of vehicles change with their differences, those from floor and fence with all of it.
+    ``mean`` (3,) is working memory.
+    """
+    for axis in range(3):
+        mean[axis] = 0.0
+        for i in range(len(slopes)):
+            mean[axis] += slopes[i, axis] / len(slopes)
+    largest = 0.0
+    for i in range(len(slopes)):
+        square = 0.0
+        for axis in range(3):
+            square += (slopes[i, axis] - mean[axis]) ** 2
+        largest = max(largest, square)
+    return float(np.sqrt(largest) + 0.1 * _norm(mean) + 1e-3)
+
+
+@inner
+def _coast(box: Box, i: int, motion: LossMotion, team: Team) -> float:
+    """Move vehicle i from its planned position to where it coasts.
+
+    Returns its largest distance from the position that is planned for the state of the others.
+    """
+    position, velocity, acceleration = team.scratch[0], team.scratch[1], team.scratch[2]
+    piece, since, moving = find_piece(motion.times, box.time)
+    evaluate_piece(motion.coefficients[piece], i, since, moving, team.scratch)
+    pieces = pieces_between(motion.joints, box.time - box.half, box.time + box.half)
+    largest_acceleration = largest_between(motion.accelerations, pieces, i)
+    largest_jerk = largest_between(motion.jerks, pieces, i)
+    # Whole team: each has coasted as long as the last to stop, or less where it lags behind.
+    earlier = box.rate * motion.lag[i] if box.case == 0 else 0.0
+    sunk = 0.5 * motion.descent[i] if box.case > 0 else 0.0
+    middle, most = max(box.coast - 0.5 * earlier, 0.0), box.coast + box.coast_half
+    fastest = _norm(velocity) + largest_acceleration * box.half
+    deviation = 0.5 * (largest_acceleration + most * largest_jerk) * box.half
+    deviation += largest_acceleration * (box.coast_half + 0.5 * earlier)
+    spread = fastest * 0.5 * earlier + deviation * box.half + sunk
+    halves, off = (box.half, box.coast_half, box.advance_half), team.spread[i] + spread
+    position[2] -= sunk
+    for axis in range(3):
+        position[axis] += middle * velocity[axis]
+        acceleration[axis] = velocity[axis] + middle * acceleration[axis]
+    apart = 0.0
+    for axis in range(3):
+        apart += (position[axis] - team.position[i, axis]) ** 2
+        team.position[i, axis] = position[axis]
+    for coordinate in range(3):
+        turned = 0.0
+        for axis in range(3):
+            # by time, by coasting, and not at all by the advance of the others
+            slope = acceleration[axis] if coordinate == 0 else velocity[axis]
+            if coordinate == 2:
+                slope = 0.0
+            turned += (slope - team.slopes[coordinate, i, axis]) ** 2
+            team.slopes[coordinate, i, axis] = slope
+        off += np.sqrt(turned) * halves[coordinate]
+    team.spread[i] = spread
+    return float(np.sqrt(apart) + off)
+
+
+@inner
+def _norm(vector: Floats) -> float:
+    return float(np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2))
+
+
 Ints = npt.NDArray[np.intp]
 Flags = npt.NDArray[np.bool_]
+
+_MOST_BOXES = 3_000
+"""Undecided boxes of one interval from which it counts as not shown: a lower rate costs less time
+than a longer search."""
+_ROUNDS = 40
+"""Rounds of halving after which the rest counts as not shown: boxes are then far below a
+millisecond wide."""
+
+
+_RATES = np.linspace(0.0, 1.0, 101)
+"""Clock rates at which advances are bounded: between two of them an advance grows by 2 cs."""
+_SAMPLES = 20
+"""Parts of an interval of half a second, whose ends are sampled for the largest advance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Overrun:
+    """How far vehicles move on after a stream loss.
+
+    At a clock of rate 1, each vehicle without setpoints coasts for up to ``coast_time`` (n,)
+    seconds, of which ``braking_time`` (n,) is braking, and comes to rest where it was after
+    ``rest_time`` (n,) seconds: farther back where it returns. The others advance for ``silence``
+    seconds until the clock slows, as fast as ``limits`` allow. A vehicle that lands alone descends
+    by up to ``descent`` (n,) metres before the others do.
+    """
+
+    coast_time: Floats
+    rest_time: Floats
+    braking_time: Floats
+    silence: float
+    limits: ClockLimits
+    descent: Floats
+
+    def advance(self, times: Floats, rates: Floats) -> Floats:
+        """Return the mission seconds by which the team advances until it stands."""
+        return self.limits.advance(times, rates, self.silence)
+
+    def largest_advances(self, start: Floats, end: Floats) -> Floats:
+        """Return bounds (k, r) of the advance after losses within intervals (k,), at _RATES.
+
+        Where a stop ends never comes earlier for a later loss: between two samples the advance is
+        at most that of the later one and their distance.
+        """
+        share = np.linspace(0.0, 1.0, _SAMPLES + 1)
+        times = start[:, None] + share * (end - start)[:, None]
+        found = self.advance(times[:, :, None], _RATES).max(axis=1)
+        largest: Floats = found + ((end - start) / _SAMPLES)[:, None]
+        return largest
+
+    @property
+    def lag(self) -> Floats:
+        """How far (n,) each may be behind the others in seconds of coasting, if all coast."""
+        farther = self.coast_time - self.rest_time[:, None]
+        alike = (self.coast_time == self.coast_time[:, None]) & (
+            self.rest_time == self.rest_time[:, None]
+        )
+        lag: Floats = np.where(alike, 0.0, np.maximum(farther, 0.0)).max(axis=1)
+        return lag
+
+    def largest_advance(
+        self, lost: tuple[Floats, Floats], vehicle: Ints, coast: Floats, fastest: Floats,
+        advances: Floats,
+    ) -> Floats:  # fmt: skip
+        """Return bounds (m,) of the team's advance when a vehicle has coasted for up to ``coast``.
+
+        The setpoints were ``lost`` between these times (m,), at a clock rate up to ``fastest``
+        (m,). ``advances`` (m, r) are bounds for the whole intervals that contain them, at _RATES:
+        close ones where the times are far apart.
+        """
+        (first, last), rate = lost, np.minimum(coast / self.rest_time[vehicle], fastest)
+        # a stop that begins earlier ends no later
+        least = np.minimum(at_rate(advances, rate), self.advance(last, rate) + (last - first))
+        return np.maximum(least, self.stopped(vehicle, rate))
+
+    def least_advance(self, vehicle: Ints, coast: Floats) -> Floats:
+        """Return bounds (m,) of the team's advance when a vehicle has coasted for ``coast``."""
+        return coast * np.minimum(1.0, self.silence / self.coast_time[vehicle])
+
+    def stopped(self, vehicle: Ints, rate: Floats | float) -> Floats:
+        """Return the least advance (m,) that counts, for any clock: until a vehicle has stopped.
+
+        One that returns has passed the place at a lower rate that counts with all of the advance.
+        """
+        returned = self.rest_time[vehicle] < self.coast_time[vehicle]
+        stopped = self.coast_time[vehicle] + np.where(returned, 0.0, self.braking_time[vehicle])
+        return rate * stopped
+
+
+def at_rate(advances: Floats, rate: Floats) -> Floats:
+    """Return the bounds (m,) of advances (m, r) at the next of _RATES: advances grow with it."""
+    column = np.minimum(np.ceil(rate * (len(_RATES) - 1) - 1e-9), len(_RATES) - 1)
+    found: Floats = advances[np.arange(len(rate)), column.astype(np.intp)]
+    return found
+
+
+class _Cases(NamedTuple):
+    """Case and clock rate (m,) of boxes."""
+
+    case: Ints1
+    rate: Floats1
+
+
+class _Workspace(NamedTuple):
+    team: Team
+    strands: Strands
+    margins: Floats2
+
+
+class _Margins(NamedTuple):
+    """Lower bounds (m,) of margins in boxes, margins (m,) in their middles, doubts (m, 3).
+
+    Both are 0 where all margins are larger.
+    """
+
+    low: Floats1
+    here: Floats1
+    doubts: Floats2
+
+
+class StreamLossBound:
+    """Certified margins of a plan after stream losses, for all times within intervals."""
+
+    def __init__(self, plan: Plan, overrun: Overrun, end: float) -> None:
+        """``end`` is the last mission time that is reached."""
+        motion, n = BoundedMotion(plan.motion), plan.vehicles
+        self._overrun = overrun
+        times, joints, coefficients = (
+            np.require(values, np.float64, ["C", "W"])
+            for values in (plan.motion.times, plan.motion.times[1:-1], plan.motion.coefficients)
+        )
+        self._motion = LossMotion(
+            times, joints, coefficients, motion.accelerations, motion.jerks,
+            overrun.lag, np.array(overrun.descent),
+            plan.mission.vehicles.tracking, end,
+        )  # fmt: skip
+        self._required = required_of(plan)
+        self._workspace = _Workspace(allocate_team(n), allocate_strands(n), np.empty((2, KINDS)))
+
+    def holds(self, start: Floats, end: Floats, rate: Floats) -> Flags:
+        """Return whether margins hold after losses within intervals (k,), at up to ``rate`` (k,).
+
+        False where this is not shown.
+        """
+        count, rounds = len(start), 0
+        advances = self._overrun.largest_advances(start, end)
+        shown = np.ones(count, dtype=np.bool_)
+
+        def relevant(boxes: Boxes) -> Flags:
+            nonlocal rounds
+            rounds += 1
+            interval = boxes.group % count
+            if rounds > _ROUNDS:
+                shown[interval] = False
+            where = shown[interval] & self._possible(boxes, rate, advances)
+            open_ = np.bincount(interval[where], minlength=count)
+            shown[open_ > _MOST_BOXES] = False
+            where &= shown[interval]
+            return where
+
+        def undecided(boxes: Boxes, found: Enclosure) -> Flags:
+            failed = self._reached(boxes, rate, advances) & (found.high < 0.0)
+            shown[boxes.group[failed] % count] = False
+            return found.low < 0.0
+
+        search(
+            lambda boxes: self._margins(boxes, rate),
+            self._roots(start, end, rate, advances), undecided,
+            relevant=relevant, cut=1.0,
+        )  # fmt: skip
+        return shown
+
+    def _roots(self, start: Floats, end: Floats, rate: Floats, advances: Floats) -> Boxes:
+        """One box for each case and interval."""
+        n, k = len(self._overrun.coast_time), len(start)
+        group = np.arange((n + 1) * k)
+        case, interval = np.divmod(group, k)
+        coast_time = np.append(self._overrun.coast_time.max(), self._overrun.coast_time)
+        coast = coast_time[case] * rate[interval]
+        advance = at_rate(advances[interval], rate[interval])
+        stopped = self._overrun.stopped(np.maximum(case - 1, 0), rate[interval])
+        advance = np.where(case > 0, np.maximum(advance, stopped), 0.0)
+        middle = np.column_stack([0.5 * (start + end)[interval], 0.5 * coast, 0.5 * advance])
+        half = np.column_stack([0.5 * (end - start)[interval], 0.5 * coast, 0.5 * advance])
+        return Boxes(group, middle, half, np.full(len(group), -np.inf))
+
+    def _possible(self, boxes: Boxes, rate: Floats, advances: Floats) -> Flags:
+        """Boxes with possible states: the team neither goes back nor advances too far."""
+        case, interval = np.divmod(boxes.group, len(advances))
+        time, coast, advance = boxes.middle.T
+        time_half, coast_half, advance_half = boxes.half.T
+        longest = self._overrun.largest_advance(
+            (time - time_half, time + time_half), np.maximum(case - 1, 0), coast + coast_half,
+            rate[interval], advances[interval],
+        )  # fmt: skip
+        least = self._overrun.least_advance(np.maximum(case - 1, 0), coast - coast_half)
+        behind = advance + advance_half < least
+        beyond = advance - advance_half > longest
+        possible: Flags = ~((case > 0) & (behind | beyond))
+        return possible
+
+    def _reached(self, boxes: Boxes, rate: Floats, advances: Floats) -> Flags:
+        """Boxes whose middle is a possible state."""
+        case, interval = np.divmod(boxes.group, len(advances))
+        time, coast, advance = boxes.middle.T
+        longest = self._overrun.largest_advance(
+            (time, time), np.maximum(case - 1, 0), coast, rate[interval], advances[interval]
+        )
+        least = self._overrun.least_advance(np.maximum(case - 1, 0), coast)
+        reached: Flags = (case == 0) | ((advance >= least) & (advance <= longest))
+        return reached
+
+    def _margins(self, boxes: Boxes, rate: Floats) -> Enclosure:
+        case, interval = np.divmod(boxes.group, len(rate))
+        count = len(boxes)
+        found = _Margins(np.empty(count), np.empty(count), np.empty((count, 3)))
+        _write_margins(
+            _Cases(case, rate[interval]), (boxes.middle, boxes.half), self._motion, self._required,
+            self._workspace, found,
+        )  # fmt: skip
+        return Enclosure(found.low, found.here, found.doubts, np.empty((count, 0)))
+
+
+@compiled
+def _write_margins(
+    cases: _Cases,
+    boxes: tuple[Floats2, Floats2],
+    motion: LossMotion,
+    required: Required,
+    workspace: _Workspace,
+    found: _Margins,
+) -> None:
+    """Write the margins of boxes with middles and half widths (m, 3)."""
+    middle, half = boxes
+    for m in range(len(middle)):
+        box = Box(
+            cases.case[m], cases.rate[m], middle[m, 0], half[m, 0], middle[m, 1], half[m, 1],
+            middle[m, 2], half[m, 2],
+        )  # fmt: skip
+        low, here = workspace.margins
+        found.low[m] = found.here[m] = 0.0
+        if write_state(box, motion, workspace.team, found.doubts[m]):
+            asked = Query(box.case - 1, (box.half, box.coast_half, box.advance_half), 0.0, 0.0)
+            vehicle_margins(asked, workspace.team, required, low, here)
+            if smallest(low) >= 0.0:
+                cable_margins(asked, workspace.team, required, workspace.strands, low, here)
+            found.low[m], found.here[m] = smallest(low), smallest(here)
+
+
+class Losses(NamedTuple):
+    """Positions after losses at k moments, metres ENU.
+
+    ``position`` (k, n, 3) at the loss. At each of s moments after it, ``moved`` (s, k, n, 3) is how
+    far vehicles without setpoints have moved, and ``descended`` (s, n) how far one of them has
+    descended; ``team`` (s, k, n, 3) are the planned positions of the others, and ``ahead`` those of
+    all without setpoints. Within ``tracking`` metres of planned positions, everything is certified;
+    with a negative one nothing is, and the plan itself counts as well.
+    """
+
+    position: Floats3
+    moved: Floats4
+    descended: Floats2
+    team: Floats4
+    ahead: Floats4
+    tracking: float
+
+
+class Memory(NamedTuple):
+    """Working memory for one moment of n vehicles; ``margins`` (2, KINDS)."""
+
+    team: Team
+    strands: Strands
+    margins: Floats2
+
+
+def allocate_memory(n: int) -> Memory:
+    """Return memory for a team."""
+    return Memory(allocate_team(n), allocate_strands(n), np.empty((2, KINDS)))
+
+
+@compiled
+def write_margins(
+    losses: Losses, required: Required, limits: tuple[float, float], memory: Memory,
+    margins: Floats1, vehicles: Ints1,
+) -> None:  # fmt: skip
+    """Write the smallest margins (k,), and the vehicles (k,) without setpoints (0: the team).
+
+    Those with a vehicle that has left the tracking radius: all others are certified. ``limits`` are
+    the margin that counts as found, below which a moment is not computed further, and the one from
+    which on none is computed.
+    """
+    found, enough = limits
+    for k in range(len(margins)):
+        margins[k], vehicles[k] = enough, 0
+        for after in range(len(losses.moved)):
+            for who in range(-2 if losses.tracking < 0.0 else -1, losses.position.shape[1]):
+                if margins[k] < found:
+                    break
+                if _place((k, after, who), losses, memory.team) > losses.tracking:
+                    margin = _smallest(
+                        Query(max(who, -1), (0.0, 0.0, 0.0), found, margins[k]), required, memory
+                    )
+                    if margin < margins[k]:
+                        margins[k], vehicles[k] = margin, max(who + 1, 0)
+
+
+@inner
+def _place(which: tuple[int, int, int], losses: Losses, team: Team) -> float:
+    """Move a team to where it is after a loss; return how far a vehicle is off the plan.
+
+    All vehicles without setpoints (−1), one of them, or none (−2).
+    """
+    (k, after, who), farthest = which, 0.0
+    for i in range(len(team.position)):
+        planned = losses.ahead[after, k, i] if who == -1 else losses.team[after, k, i]
+        for axis in range(3):
+            if who in (-1, i):
+                moved = losses.moved[after, k, i, axis]
+                team.position[i, axis] = losses.position[k, i, axis] + moved
+            else:
+                team.position[i, axis] = planned[axis]
+        if who == i:
+            team.position[i, 2] -= losses.descended[after, i]
+        farthest = max(farthest, point_distance(team.position[i], planned))
+    return farthest
+
+
+@inner
+def _smallest(asked: Query, required: Required, memory: Memory) -> float:
+    """Return the smallest margin of a team with its cable aloft; what is ``enough`` without one."""
+    low, here = memory.margins
+    vehicle_margins(asked, memory.team, required, low, here)
+    cable_margins(asked, memory.team, required, memory.strands, low, here)
+    return float(smallest(low))
+
 
 STEP = 0.5
 """Seconds of mission time between samples; the certificate covers the times between."""

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import scipy
 
 from swarm.certification.cable_spans import cable_spans
-from swarm.certification.tube_radii import BIN
+from swarm.certification.strand_pieces import BIN
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
 from swarm.geometry.lumped_mass import Strands, SwingModel, cable_model
 from swarm.geometry.strays import Held, subtract_catenaries

@@ -12,12 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.bodies import Body, body_distance
-from swarm.certification.coarse_distance import (
-    body_box_distance,
-    box_distance,
-)
-from swarm.certification.compared_pairs import exempt_length, exempt_lengths
-from swarm.certification.fence import inside_by, sides_of
+from swarm.certification.cable_spans import exempt_length, exempt_lengths
+from swarm.certification.limits import inside_by, sides_of
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.catenary_kernel import (
     LEAST_HALF_ANGLE,
@@ -46,6 +42,60 @@ from swarm.planning import Plan
 from swarm.signatures import Floats1, Floats2, Floats3, contiguous
 
 Floats = npt.NDArray[np.float64]
+
+
+@inner
+def box_distance(
+    grips: Floats,
+    lengths: Floats,
+    pair: tuple[int, int],
+    moved: tuple[float, float],
+    enough: float,
+) -> float:
+    """Return the distance of the axis-aligned boxes that contain two strands, metres.
+
+    ``grips`` (n, 3) and ``lengths`` (n − 1,) are the cable's, ``pair`` the segments; the ends of
+    each move by up to ``moved``. From ``enough`` on, the result is only a lower bound.
+    """
+    i, j = pair
+    square = 0.0
+    for axis in range(3):
+        low = min(grips[i, axis], grips[i + 1, axis]) - moved[0]
+        high = max(grips[i, axis], grips[i + 1, axis]) + moved[0]
+        other_low = min(grips[j, axis], grips[j + 1, axis]) - moved[1]
+        other_high = max(grips[j, axis], grips[j + 1, axis]) + moved[1]
+        if axis == 2:
+            if square >= enough * enough:
+                return enough
+            low -= max_drop_below_ends(grips[i], grips[i + 1], lengths[i], moved[0])
+            other_low -= max_drop_below_ends(grips[j], grips[j + 1], lengths[j], moved[1])
+        gap = max(low - other_high, other_low - high, 0.0)
+        square += gap * gap
+    return float(np.sqrt(square))
+
+
+@inner
+def body_box_distance(
+    grips: Floats, lengths: Floats, pair: tuple[int, int], moved: tuple[float, float], body: Body
+) -> float:
+    """Return the distance of the axis-aligned boxes around a strand and a vehicle's body, metres.
+
+    ``pair`` are the vehicle and the segment; the strand's ends and the vehicle move by up to
+    ``moved``.
+    """
+    k, i = pair
+    square, (of_ends, of_body) = 0.0, moved
+    for axis in range(3):
+        low = min(grips[i, axis], grips[i + 1, axis]) - of_ends
+        high = max(grips[i, axis], grips[i + 1, axis]) + of_ends
+        aside, above = (body.radius, body.radius) if axis < 2 else (0.0, body.grip_offset)
+        if axis == 2:
+            low -= max_drop_below_ends(grips[i], grips[i + 1], lengths[i], of_ends)
+        beside = low - grips[k, axis] - above, grips[k, axis] - aside - high
+        gap = max(beside[0] - of_body, beside[1] - of_body, 0.0)
+        square += gap * gap
+    return float(np.sqrt(square))
+
 
 VEHICLES, CEILING, FENCE, CHORDS, STRANDS, NEIGHBOURS, BODIES, DISCS, FLOOR = range(9)
 """Kinds of clearances: places in arrays of margins."""

@@ -10,9 +10,9 @@ from typing import Any, get_args
 
 import numpy as np
 
-from swarm.certification.assessment import Assessment, Robustness, Tightest
+from swarm.certification.assessment import Assessment, Tightest
+from swarm.certification.clearances import MOST_TRACKING, MOST_WIND, Robustness
 from swarm.certification.findings import Finding, Severity
-from swarm.certification.robustness import MOST_TRACKING, MOST_WIND
 from swarm.errors import InputError, Problem, shown
 from swarm.exports import finding_object, tightest_object
 from swarm.flight.flight_plan import Basis, Kind

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.allowed_swing import allowed_swing
+from swarm.certification.excitation import allowed_swing
 from swarm.certification.swing_tube import SwingTube, swing_tube
 from swarm.flight.trace import Trace
 from swarm.planning import Plan
@@ -49,7 +49,7 @@ class FlownSwing(LargestStray):
 class SwingCurves:
     """Strays of the strands (k, n − 1) in metres at k moments of a flight, which are given in
     mission ``time`` (k,): estimated, planned, the radii of the tube of all changes of the clock's
-    rate, and what this tube and the budget allow (:mod:`swarm.certification.allowed_swing`)."""
+    rate, and what this tube and the budget allow (:mod:`swarm.certification.excitation`)."""
 
     time: Floats
     estimated: Floats

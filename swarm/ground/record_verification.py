@@ -3,8 +3,7 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from swarm.certification.assess import assess
-from swarm.certification.assessment import Assessment
+from swarm.certification.assessment import Assessment, assess
 from swarm.flight.adherence import Adherence, adherence
 from swarm.flight.flight_plan import Basis, confirmed_basis
 from swarm.flight.tlog import Replayed

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from threadpoolctl import threadpool_limits
 
 from swarm.certification.air import deepest_sinking
-from swarm.certification.assessment import Assessment, Robustness
+from swarm.certification.assessment import Assessment
 from swarm.certification.budget import least_remaining
 from swarm.certification.certificate import (
     Certificate,
@@ -19,6 +19,7 @@ from swarm.certification.certificate import (
     measure_clearances,
     with_recorded_robustness,
 )
+from swarm.certification.clearances import Robustness
 from swarm.certification.stream_loss import rates_ahead
 from swarm.mission import Mission
 from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower

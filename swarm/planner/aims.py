@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from swarm.certification.air import sinkings
-from swarm.certification.smallest_budgets import ShortBudget
+from swarm.certification.budget import ShortBudget
 from swarm.planner.short_budgets import ShortBudgets
 from swarm.planning import Plan
 from swarm.planning.repair import Shortfall

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from swarm.certification.strand_pieces import BIN
 from swarm.certification.stream_loss import FINE_RATES, rates_ahead, sampled_rates
 from swarm.certification.swing_runs import strands_of
-from swarm.certification.tube_radii import BIN
 from swarm.geometry.motion import Motion
 from swarm.planning import Plan
 from swarm.planning.assembly import fold_of, with_fold

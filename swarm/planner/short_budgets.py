@@ -2,10 +2,14 @@
 
 from dataclasses import dataclass, replace
 
-from swarm.certification.approaches import PairSwing
+from swarm.certification.budget import ShortBudget, short_moments
 from swarm.certification.clearances import Moment, violations
-from swarm.certification.smallest_budgets import ShortBudget, short_moments
-from swarm.certification.swing_tube import begin_swings, swing_after_urgent_stops, swing_tube
+from swarm.certification.swing_tube import (
+    PairSwing,
+    begin_swings,
+    swing_after_urgent_stops,
+    swing_tube,
+)
 from swarm.planning import Plan
 from swarm.threads import both
 

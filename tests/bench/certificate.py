@@ -11,10 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from swarm.certification.assess import assess
-from swarm.certification.clearances import Moment, families, tightest_moments
+from swarm.certification.assessment import assess
+from swarm.certification.clearances import (
+    Moment,
+    families,
+    largest_tracking,
+    largest_wind,
+    tightest_moments,
+)
 from swarm.certification.minima import smallest
-from swarm.certification.robustness import largest_tracking, largest_wind
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import polyline_polyline
 from swarm.mission import mission_for_knot, parse_mission

@@ -3,8 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarm.certification.assess import assess
-from swarm.certification.assessment import Assessment
+from swarm.certification.assessment import Assessment, assess
 from swarm.geometry.motion import through_states
 from swarm.mission import parse_mission
 from swarm.planning import Gate, KnotLayout, KnotSummary, Phase, Plan

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from swarm.certification.approaches import collect_distances
+from swarm.certification.swing_tube import collect_distances
 
 
 def test_the_largest_size_of_each_interval_counts() -> None:

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarm.certification.assess import assess
+from swarm.certification.assessment import assess, endurance_findings
 from swarm.certification.certificate import CertifiedPlan, certify
-from swarm.certification.operational_findings import endurance_findings
 from swarm.errors import Refused
 from swarm.geometry.motion import Motion, concatenate, through_states
 from swarm.planning import Plan

@@ -8,14 +8,13 @@ import pytest
 from click.testing import CliRunner
 
 from swarm.certification.air import wind_tilt
-from swarm.certification.assess import assess
-from swarm.certification.cable_spans import cable_spans
+from swarm.certification.assessment import assess
+from swarm.certification.cable_spans import cable_spans, exempt_length
 from swarm.certification.clearances import (
     certified,
     tightest_moments,
     violations,
 )
-from swarm.certification.compared_pairs import exempt_length
 from swarm.certification.motion_file import plan_of_motion, read_motion
 from swarm.cli.certify import certify
 from swarm.errors import InputError

@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from swarm.certification.assess import assess
+from swarm.certification.assessment import assess
+from swarm.certification.cable_spans import all_pairs, exempt_length
 from swarm.certification.clearances import certified, tightest_moments
-from swarm.certification.compared_pairs import all_pairs, exempt_length
 from swarm.certification.motion_bounds import BoundedMotion, TeamStates
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.motion import Motion, concatenate, through_states

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from swarm.certification.assess import assess
+from swarm.certification.assessment import assess
 from swarm.certification.motion_file import plan_of_motion, read_lengths, read_motion
 from swarm.cli.certify import certify
 from swarm.errors import InputError

@@ -13,19 +13,19 @@ from swarm.certification.air import (
     sinkings,
     wind_down,
 )
-from swarm.certification.assess import assess
-from swarm.certification.assessment import Robustness
+from swarm.certification.assessment import assess, contingencies_of, downwash_findings
 from swarm.certification.budget import _closest, _pressed, budgets, table
-from swarm.certification.clearances import certified, tightest_moments
-from swarm.certification.contingency_windows import contingency_windows, longest_stop
-from swarm.certification.loads import failed_vehicle_load, loads, stuck_gripper_load
-from swarm.certification.operational_findings import contingencies_of, downwash_findings
-from swarm.certification.robustness import (
+from swarm.certification.clearances import (
+    Robustness,
+    certified,
     confirmed,
     failure_in_wind,
     largest_tracking,
     largest_wind,
+    tightest_moments,
 )
+from swarm.certification.contingency_windows import contingency_windows, longest_stop
+from swarm.certification.loads import failed_vehicle_load, loads, stuck_gripper_load
 from swarm.planning import Gate, Phase
 from tests.certification.synthetic import moving, plan_of
 

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from sitl.cable.swinging import SwingingRope
 from sitl.physics.dynamics import STEP as TICK
 from sitl.world import CableSpec
+from swarm.certification.assessment import swing_findings
 from swarm.certification.clearances import certified_tube, tightest_moments
-from swarm.certification.swing_findings import swing_findings
+from swarm.certification.strand_pieces import BIN, LEAVES, TubeRadii, radii_over
 from swarm.certification.swing_runs import (
     COURSES,
     STEP,
@@ -35,7 +36,6 @@ from swarm.certification.swing_tube import (
     swing_after_urgent_stops,
     swing_tube,
 )
-from swarm.certification.tube_radii import BIN, LEAVES, TubeRadii, radii_over
 from swarm.flight.clock import MissionClock
 from swarm.flight.flight_plan import basis_of
 from swarm.geometry.catenary import solve_catenaries

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from swarm.certification.cable_spans import exempt_length
 from swarm.certification.clearances import families, limits
-from swarm.certification.compared_pairs import exempt_length
 from swarm.certification.coverage import COVERAGE, coverage_table
 from swarm.certification.monitor import Monitor
 from swarm.certification.stream_loss import certify_stream_loss

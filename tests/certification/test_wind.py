@@ -5,8 +5,7 @@ import pytest
 
 from swarm.certification import strand_pieces as pieces
 from swarm.certification.air import wind_tilt
-from swarm.certification.clearances import families, tightest_moments
-from swarm.certification.robustness import failure_in_wind, largest_wind
+from swarm.certification.clearances import failure_in_wind, families, largest_wind, tightest_moments
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.catenary_kernel import Catenary
 from tests.certification.oracle import catenary, closest, displaced

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from sitl.cable.swinging import SwingingRope
 from sitl.physics.dynamics import STEP
 from sitl.world import CableSpec
-from swarm.certification.allowed_swing import allowed_swing
-from swarm.certification.excitation import modes, variances_along
+from swarm.certification.excitation import allowed_swing, modes, variances_along
 from swarm.certification.monitor import SLOWEST, Monitor
 from swarm.certification.swing_tube import swing_tube
 from swarm.flight.flown_swing import flown_swing, largest_stray

@@ -6,7 +6,8 @@ import pytest
 from rich.console import Console
 from rich.text import Text
 
-from swarm.certification.assessment import Assessment, Robustness, Tightest, rounded_down
+from swarm.certification.assessment import Assessment, Tightest, rounded_down
+from swarm.certification.clearances import Robustness
 from swarm.certification.findings import Finding
 from swarm.flight.operator import REQUESTS
 from swarm.flight.snapshot import Event

@@ -4,9 +4,9 @@ from typing import Any
 
 import pytest
 
+from swarm.certification.assessment import budget_findings
 from swarm.certification.budget import Budget
 from swarm.certification.findings import Finding
-from swarm.certification.operational_findings import budget_findings
 from swarm.reports.verdicts import (
     failures_verdict,
     findings_verdict,
