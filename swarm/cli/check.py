@@ -11,7 +11,16 @@ from rich.console import Console
 
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding
-from swarm.cli.inputs import JSON, OUTPUT, REPLAN, SET, ProgressLine, print_json, progress_bar
+from swarm.cli.flight_session import RTCM
+from swarm.cli.inputs import (
+    JSON,
+    OUTPUT,
+    REPLAN,
+    SET,
+    ProgressLine,
+    print_json,
+    progress_bar,
+)
 from swarm.cli.planning import load_source
 from swarm.errors import InputError, Problem, Refused, VehicleError
 from swarm.files import read_text, write_text
@@ -57,6 +66,7 @@ class Options:
     record: Path | None
     speed: float
     clock: Path | None
+    rtcm: str | None
     yes: bool
 
     def require_others(self) -> None:
@@ -71,6 +81,8 @@ class Options:
         problems = [Problem(name, "expected a MISSION") for name in missing]
         if self.clock is not None and not (self.fleet_file and self.with_hop):
             problems.append(Problem("--clock", "expected --fleet and --hop"))
+        if self.rtcm is not None and self.fleet_file is None:
+            problems.append(Problem("--rtcm", "expected --fleet: emulated receivers have RTK"))
         if problems:
             raise InputError(problems)
         require_clock(self.clock)
@@ -136,6 +148,7 @@ class Options:
     type=click.Path(dir_okay=False, path_type=Path),
     help="The hop follows the time in this file, as `swarm fly --clock`.",
 )
+@RTCM
 @click.option("--yes", is_flag=True, help="Do not ask for confirmation; errors still refuse.")
 @click.pass_context
 def check(context: click.Context, /, **options: Any) -> None:
@@ -170,7 +183,7 @@ def check(context: click.Context, /, **options: Any) -> None:
         confirm_fix = _fix_question(console, progress, yes=given.yes) if given.fix else None
         report = check_fleet(
             fleet, folder, flight_plan,
-            CheckOptions(given.soak, confirm_fix, given.restore, progress),
+            CheckOptions(given.soak, confirm_fix, given.restore, progress, given.rtcm),
         )  # fmt: skip
     hop_result, measured = None, None
     if flight_plan is not None:
@@ -240,6 +253,7 @@ def _fly_hop(
             folder,
             speed=given.speed,
             world_clock=given.clock,
+            rtcm=given.rtcm,
             callbacks=FlightCallbacks(on_snapshot=screen.show, on_event=screen.event),
         )
 
@@ -264,7 +278,7 @@ def _fetch_logs(given: Options, folder: Path) -> int:
     """Fetch every vehicle's newest log, print the paths, and return the exit code."""
     checks = (
         given.mission, given.fix, given.restore, given.soak, given.with_hop, given.sheet,
-        given.clock,
+        given.clock, given.rtcm,
     )  # fmt: skip
     if any(checks) or given.record:
         raise click.UsageError("--logs can be combined with --fleet and --json only")

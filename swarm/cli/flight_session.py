@@ -11,11 +11,12 @@ import click
 from rich.console import Console
 
 from swarm.certification.assessment import Assessment
-from swarm.cli.inputs import print_json
+from swarm.cli.inputs import Address, print_json
 from swarm.errors import InputError, Interrupted, Problem, reason
 from swarm.files import write_text
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event, Snapshot
+from swarm.ground.corrections import parse_source
 from swarm.planning import Plan
 from swarm.reports.flight_json import outcome_object
 from swarm.reports.flight_text import print_outcome
@@ -24,6 +25,14 @@ from swarm.verification import verify_trace
 from swarm.view import rerun_log
 
 Viewer = Literal["native", "web"]
+
+RTCM = click.option(
+    "--rtcm",
+    metavar="KIND://SOURCE",
+    type=Address(parse_source),
+    help="Send corrections (RTCM 3) to the vehicles' receivers: ntrip://[USER:PASSWORD@]HOST[:PORT]"
+    "/MOUNTPOINT (ntrips: with TLS), serial://DEVICE[:BAUD], udp://HOST:PORT, or file:PATH.",
+)
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,15 @@ from rich.console import Console
 
 from swarm.certification.certificate import without_cable
 from swarm.certification.findings import Finding
-from swarm.cli.flight_session import Displays, Viewer, displays, end_flight
-from swarm.cli.inputs import JSON, REPLAN, SET, VERBOSE, refuse_option_conflicts
+from swarm.cli.flight_session import RTCM, Displays, Viewer, displays, end_flight
+from swarm.cli.inputs import (
+    JSON,
+    REPLAN,
+    SET,
+    VERBOSE,
+    Address,
+    refuse_option_conflicts,
+)
 from swarm.cli.planning import load_source, prepare_flight, require_cleared
 from swarm.errors import InputError, Problem, Refused
 from swarm.flight.bench_flight import RAISED, raised
@@ -99,7 +106,12 @@ def resume_flight(
 
 COUNTDOWN = 3
 _FLIGHTS = Path("flights")
-_NEEDS = {"positioning": ("firmware",), "mocap": ("fleet",), "clock": ("fleet",)}
+_NEEDS = {
+    "positioning": ("firmware",),
+    "mocap": ("fleet",),
+    "rtcm": ("fleet",),
+    "clock": ("fleet",),
+}
 """Options that go with others only."""
 _RAISED_FLIGHT = (
     f"The fleet has no grippers (gripper: none): flown {RAISED:g} m higher, without contact with "
@@ -122,6 +134,7 @@ class Options:
     firmware: str | None
     positioning: str | None
     mocap: str | None
+    rtcm: str | None
     clock: Path | None
     view: Viewer | None
     yes: bool
@@ -147,30 +160,6 @@ class Options:
         problems = [Problem(name, message) for name, value in given.items() if value]
         if problems:
             raise InputError(problems)
-
-
-def forward_address(
-    _context: click.Context, _parameter: click.Parameter, url: str | None
-) -> str | None:
-    """Return the address of --forward; another text is a usage error."""
-    try:
-        if url is not None:
-            parse_forward(url)
-    except ValueError as error:
-        raise click.BadParameter(str(error)) from None
-    return url
-
-
-def capture_address(
-    _context: click.Context, _parameter: click.Parameter, url: str | None
-) -> str | None:
-    """Return the address of --mocap; another text is a usage error."""
-    try:
-        if url is not None:
-            parse_url(url)
-    except ValueError as error:
-        raise click.BadParameter(str(error)) from None
-    return url
 
 
 @click.command()
@@ -206,10 +195,11 @@ def capture_address(
 @click.option(
     "--mocap",
     metavar="KIND://HOST",
-    callback=capture_address,
+    type=Address(parse_url),
     help="Send the poses of a motion capture system to the vehicles (fleets with frame: shared): "
     "vicon, optitrack, qualisys, vrpn and others of libmotioncapture, or udp://HOST:PORT.",
 )
+@RTCM
 @click.option(
     "--clock",
     type=click.Path(dir_okay=False, path_type=Path),
@@ -232,7 +222,7 @@ def capture_address(
 @click.option(
     "--forward",
     metavar="udp://HOST:PORT",
-    callback=forward_address,
+    type=Address(parse_forward),
     help="Send a copy of all packets of the vehicles there, for QGroundControl (port 14550); "
     "nothing that comes back is passed on.",
 )
@@ -284,6 +274,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
                 then=given.then,
                 forward=given.forward,
                 mocap=given.mocap,
+                rtcm=given.rtcm,
                 world_clock=given.clock,
                 unattended=given.unattended,
             ),
@@ -319,7 +310,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
         FlyOptions(
             speed=given.speed, no_cable=given.no_cable, control=control, forward=given.forward,
             firmware=given.firmware, positioning=given.positioning or "rtk", mocap=given.mocap,
-            world_clock=given.clock, unattended=given.unattended,
+            rtcm=given.rtcm, world_clock=given.clock, unattended=given.unattended,
         ),
         confirm=True,
     )  # fmt: skip

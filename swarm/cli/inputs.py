@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +38,23 @@ class Output(click.Path):
         if not os.access(path if path.exists() else path.parent, os.W_OK):
             self.fail(f"{value}: permission denied", param, ctx)
         return path
+
+
+class Address(click.ParamType[str]):
+    """The address of another system; ``parse`` raises `ValueError` for another text."""
+
+    name = "address"
+
+    def __init__(self, parse: Callable[[str], object]) -> None:
+        self._parse = parse
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the address; another text is a usage error."""
+        try:
+            self._parse(value)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+        return str(value)
 
 
 FILE = click.Path(dir_okay=False, path_type=Path)

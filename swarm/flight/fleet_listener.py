@@ -38,6 +38,15 @@ RADIO_SHARE = 0.5
 """Share of a slow link for setpoints; the rest is for positions, commands and repetitions."""
 FEWEST_SATELLITES = 8
 """Satellites without a warning; the filters of PX4 and ArduPilot require 6."""
+FIXES = {
+    int(common.GPS_FIX_TYPE_3D_FIX): ("a 3D fix without corrections", 1.5),
+    int(common.GPS_FIX_TYPE_DGPS): ("a differential fix", 1.0),
+    int(common.GPS_FIX_TYPE_RTK_FLOAT): ("RTK float", 0.4),
+    int(common.GPS_FIX_TYPE_RTK_FIXED): ("RTK fixed", 0.02),
+    int(common.GPS_FIX_TYPE_PPP): ("PPP", 0.1),
+}
+"""Kinds of solutions and their horizontal errors in metres: u-blox's ZED-F9P (data sheet: 1.5 m,
+SBAS 1.0 m, RTK 0.01 m and 1 ppm); a float solution is good to a few decimetres."""
 POOREST_ACCURACY = 1.5
 """Largest horizontal GPS accuracy in metres without a warning."""
 
@@ -168,14 +177,17 @@ class FleetListener:
         except Refused as error:
             return Finding("error", "placement", str(error))
 
-    def frames_and_clocks(self) -> list[Finding]:
-        """Return findings on each vehicle's position, origin and clock."""
+    def frames_and_clocks(self, tracking: float = math.inf) -> list[Finding]:
+        """Return findings on each vehicle's position, origin and clock.
+
+        ``tracking`` is the largest tracking error in metres that the plan allows.
+        """
         findings: list[Finding] = []
         first = next((v.origin for v in self.received if v.origin is not None), None)
         for vehicle in self.received:
             name = f"system {vehicle.system}"
             if self.fleet.frame != "shared":
-                findings.append(_position_quality(name, vehicle))
+                findings.append(position_quality(name, vehicle, self.fleet, tracking))
             if first is not None and vehicle.origin is not None:
                 east, north, up = to_mission(first, 0.0, vehicle.origin).tolist()
                 words = f"{name}: origin {east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up"
@@ -264,7 +276,12 @@ class FleetListener:
         self._events.append(Event(self.now, kind, words, system))
 
 
-def _position_quality(name: str, vehicle: Vehicle) -> Finding:
+def position_quality(name: str, vehicle: Vehicle, fleet: Fleet, tracking: float) -> Finding:
+    """Return a finding on a vehicle's receiver, whose errors count as tracking errors.
+
+    ``tracking`` is the largest tracking error in metres that the plan allows. Vehicles in frames of
+    their own pads need no receiver.
+    """
     if vehicle.fix_type < 0:
         return Finding("warning", "position", f"{name}: reports no satellites")
     accuracy = vehicle.horizontal_accuracy
@@ -272,6 +289,11 @@ def _position_quality(name: str, vehicle: Vehicle) -> Finding:
     words += f", level to {accuracy:.2f} m" if math.isfinite(accuracy) else ""
     if vehicle.fix_type < common.GPS_FIX_TYPE_3D_FIX:
         return Finding("error", "position", f"{words}: no 3D fix")
+    fix, error = FIXES.get(vehicle.fix_type, ("no solution of a rover", math.inf))
+    if fleet.frame == "gps" and error > tracking:
+        words += f": {fix}, with errors of {error:g} m; the plan allows tracking errors of "
+        words += f"{tracking:g} m: RTK fixed is needed (--rtcm sends corrections)"
+        return Finding("error", "position", words)
     poor = vehicle.satellites < FEWEST_SATELLITES or accuracy > POOREST_ACCURACY
     severity: Severity = "warning" if poor else "info"
     return Finding(severity, "position", words)

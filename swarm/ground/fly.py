@@ -25,9 +25,10 @@ from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
 from swarm.flight.world import emulated_world
 from swarm.ground.callbacks import FlightCallbacks, publisher
+from swarm.ground.corrections import open_corrections
 from swarm.ground.emulator import EmulatorProcess, RealFirmware
 from swarm.ground.forward import open_forward
-from swarm.ground.loop import Loop
+from swarm.ground.loop import Feed, Loop
 from swarm.ground.mocap import ANYWHERE, DatagramCapture, MocapBridge, open_capture
 from swarm.ground.operator import ControlSocket, OperatorConsole, terminal_keys
 from swarm.ground.preflight import Preflight
@@ -62,6 +63,8 @@ class FlyOptions:
       position, as there.
     - ``mocap``: URL of the motion capture system whose poses are sent to the vehicles
       (:mod:`swarm.ground.mocap`).
+    - ``rtcm``: address of a source of corrections that are sent to the vehicles' receivers
+      (:mod:`swarm.ground.corrections`).
     - ``world_clock``: file with the time of a world in another process (``swarm sitl --clock``),
       which the flight follows instead of the wall clock.
     - ``unattended``: what the team does when the last screen of the flight is gone.
@@ -78,6 +81,7 @@ class FlyOptions:
     firmware: str | None = None
     positioning: str = "rtk"
     mocap: str | None = None
+    rtcm: str | None = None
     world_clock: Path | None = None
     unattended: Unattended = "hold"
 
@@ -112,7 +116,7 @@ def fly(
         conductor.team.signing = resources.enter_context(signing_with(fleet.signing_key))
         record = Record(folder, time.time())
         resources.callback(record.close)
-        bridge = resources.enter_context(_open_bridge(conductor, options))
+        bridge, feeds = resources.enter_context(_open_feeds(conductor, options))
         emulator = _start_emulator(flight_plan, fleet, links, folder, options, bridge)
         if emulator is not None:
             resources.callback(emulator.stop)
@@ -148,7 +152,7 @@ def fly(
                 preflight.relay = Relay(conductor.team)
                 running.callback(preflight.relay.close)
             tasks = TickTasks(
-                conductor, record, preflight, publish, caller, emulator, inputs, mocap=bridge,
+                conductor, record, preflight, publish, caller, emulator, inputs, feeds=feeds,
                 control=control, unattended=options.unattended,
             )  # fmt: skip
             forward = open_forward(options.forward, conductor.team) if options.forward else None
@@ -156,7 +160,7 @@ def fly(
                 running.callback(forward.close)
             loop = Loop(
                 conductor, links, record, options.speed, tasks.run, preflight.relay, forward,
-                mocap=bridge, world=clock, start=started,
+                feeds=feeds, world=clock, start=started,
             )  # fmt: skip
             loop.run()
             tasks.run(conductor.now)
@@ -225,6 +229,18 @@ def _open_control(
         yield control
     finally:
         control.close()
+
+
+@contextmanager
+def _open_feeds(
+    conductor: Conductor, options: FlyOptions
+) -> Iterator[tuple[MocapBridge | None, list[Feed]]]:
+    """Open what the vehicles get from other systems; the first value is the one of poses."""
+    with (
+        _open_bridge(conductor, options) as bridge,
+        open_corrections(options.rtcm, conductor.fleet, conductor.team) as corrections,
+    ):
+        yield bridge, [feed for feed in (bridge, corrections) if feed is not None]
 
 
 @contextmanager

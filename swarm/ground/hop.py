@@ -49,15 +49,22 @@ def fly_hop(
     *,
     speed: float = 1.0,
     world_clock: Path | None = None,
+    rtcm: str | None = None,
     callbacks: FlightCallbacks | None = None,
 ) -> HopResult:
     """Fly the hop of a plan, see :func:`swarm.flight.hop.hop`, and return the hover errors.
 
     The record of the hop goes to ``folder``. ``speed`` is a multiple of real time, for emulated
     fleets only; with the ``world_clock`` of vehicles simulated elsewhere, the hop follows it.
+    ``rtcm`` is the address of a source of corrections.
     """
     options = FlyOptions(
-        speed=speed, no_cable=True, audit=False, error_limit=ERROR_LIMIT, world_clock=world_clock
+        speed=speed,
+        no_cable=True,
+        audit=False,
+        error_limit=ERROR_LIMIT,
+        world_clock=world_clock,
+        rtcm=rtcm,
     )
     result = fly(hop_flight, fleet, folder, options, callbacks)
     measured, found = hovers(result.trace), hover_findings(result.trace, flight_plan)

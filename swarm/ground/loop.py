@@ -6,7 +6,7 @@ Packets are received in between.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -14,7 +14,6 @@ import numpy as np
 
 from swarm.flight.router import Address, Outgoing
 from swarm.ground.forward import Forward
-from swarm.ground.mocap import MocapBridge
 from swarm.ground.record import Record
 from swarm.ground.relay import Relay
 from swarm.ground.sockets import Links
@@ -47,14 +46,24 @@ class Runnable(Protocol):
         """Whether the loop may end."""
 
 
+class Feed(Protocol):
+    """What vehicles get from another system: poses of motion capture, corrections of positions."""
+
+    def packets(self, now: float) -> Iterable[Outgoing]:
+        """Return the packets that are due at ``now``."""
+
+    def change(self, now: float) -> tuple[str, str] | None:
+        """Return an event, kind and words, when the system falls silent or comes back."""
+
+
 @dataclass
 class Loop:
     """Runs a conductor on links in real time, ``speed`` times faster.
 
     ``each_tick`` is called with the flight time after every tick and must be fast. ``relay``
-    forwards packets of other programs, ``forward`` copies what the vehicles send, ``mocap`` sends
-    them their poses. ``lateness`` are the seconds between deadline and sending of every tick,
-    ``cpu`` the share of one core.
+    forwards packets of other programs, ``forward`` copies what the vehicles send, ``feeds`` send
+    them what other systems measure. ``lateness`` are the seconds between deadline and sending of
+    every tick, ``cpu`` the share of one core.
     ``world`` is the clock of a simulated world that is followed instead of real time, and that
     waits for this loop; flight time is zero at its ``start``, by default when `run` begins.
     """
@@ -68,7 +77,7 @@ class Loop:
     forward: Forward | None = None
     lateness: list[float] = field(default_factory=list)
     cpu: float = 0.0
-    mocap: MocapBridge | None = None
+    feeds: Sequence[Feed] = ()
     world: WorldClock | None = None
     start: float | None = None
     start_time: float = 0.0
@@ -88,8 +97,8 @@ class Loop:
             outgoing = conductor.tick(now, time.monotonic())
             if self.relay is not None:
                 outgoing.extend(self.relay.to_vehicles())
-            if self.mocap is not None:
-                outgoing.extend(self.mocap.packets(now))
+            for feed in self.feeds:
+                outgoing.extend(feed.packets(now))
             self._receive(start, deadline - _GUARD, deadline - _GUARD)
             while (remaining := deadline - self._now()) > 0.0:
                 time.sleep(max(remaining, self._shortest))

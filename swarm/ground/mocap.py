@@ -196,6 +196,7 @@ class MocapBridge:
     _next_origin: float = 0.0
     _seen: dict[int, float] = field(default_factory=dict)
     _behind: float = math.inf
+    _missed: tuple[int, ...] = ()
 
     def packets(self, now: float) -> Iterator[Outgoing]:
         """Yield the packets that are due at ``now``."""
@@ -220,6 +221,16 @@ class MocapBridge:
                 if system in self.team.vehicles and now - seen > UNSEEN
             )
         )
+
+    def change(self, now: float) -> tuple[str, str] | None:
+        """Return an event when poses of vehicles are missing, and when all have poses again."""
+        unseen = self.unseen(now)
+        if unseen == self._missed:
+            return None
+        self._missed = unseen
+        names = ", ".join(map(str, unseen))
+        text = f"no pose of system {names} for {UNSEEN:g} s" if unseen else "has all poses again"
+        return "motion capture", text
 
     def _packet(self, system: int, message: Any) -> Iterator[Outgoing]:
         route = self.team.way_to(system) if system in self.team.vehicles else None

@@ -13,6 +13,7 @@ from pathlib import Path
 from swarm.errors import SwarmError
 from swarm.flight.clearance import Audit
 from swarm.flight.conductor import Conductor
+from swarm.flight.fleet_listener import position_quality
 from swarm.flight.parameters import plan_requirements, stream_loss_findings, stream_loss_model
 from swarm.ground.commissioning.audit import Auditor, save_parameters
 from swarm.ground.relay import Relay
@@ -73,5 +74,8 @@ class Preflight:
         duration = plan.flight_duration + loss.delay
         battery = 100.0 * duration / plan.mission.vehicles.endurance
         found = [finding for vehicle in audits for finding in vehicle.findings(battery)]
+        if fleet.frame == "gps":
+            tracking = plan.mission.vehicles.tracking
+            found += [position_quality(f"system {v.system}", v, fleet, tracking) for v in flyers]
         findings = (*audit.findings, *found, *loss_findings)
         return replace(audit, findings=findings, stream_loss=loss)

@@ -14,7 +14,7 @@ from swarm.flight.operator import Request
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.tlog import ClockEncoder
 from swarm.ground.emulator import EmulatorProcess
-from swarm.ground.mocap import UNSEEN, MocapBridge
+from swarm.ground.loop import Feed
 from swarm.ground.operator import ControlSocket, OperatorConsole
 from swarm.ground.preflight import Preflight
 from swarm.ground.record import Record
@@ -59,7 +59,7 @@ class TickTasks:
 
     ``inputs`` and ``control`` are polled for operator requests. When the last screen of the flight
     is gone, the team holds, lands or flies on, as ``unattended`` says. ``events`` are all events so
-    far. Poses that ``mocap`` misses are reported.
+    far. What ``feeds`` miss is reported.
     """
 
     conductor: Conductor
@@ -70,7 +70,7 @@ class TickTasks:
     emulator: EmulatorProcess | None = None
     inputs: Sequence[Callable[[], None]] = ()
     events: list[Event] = field(default_factory=list)
-    mocap: MocapBridge | None = None
+    feeds: Sequence[Feed] = ()
     control: ControlSocket | None = None
     unattended: Unattended = "hold"
     _alone: bool = False
@@ -78,7 +78,6 @@ class TickTasks:
     _next_snapshot: float = 0.0
     _disk_reported: bool = False
     _phase: str = ""
-    _unseen: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         self._clock = ClockEncoder(self.conductor.plan)
@@ -140,23 +139,15 @@ class TickTasks:
         if (entered := phase or conductor.stage) != self._phase:
             self._phase = entered
             conductor.report("phase", entered)
-        self._report_poses(now)
+        for feed in self.feeds:
+            if (change := feed.change(now)) is not None:
+                conductor.report(*change)
         if conductor.stage in {"ready", "execute", "contingency"}:
             record.packet(self._clock.encode(now, conductor.clock.time, phase), now)
         if conductor.stage == "prepare" and self.emulator is not None:
             ended = self.emulator.ended()
             if ended is not None:
                 conductor.give_up(ended)
-
-    def _report_poses(self, now: float) -> None:
-        """Report vehicles whose poses are missing, and when all have poses again."""
-        unseen = self.mocap.unseen(now) if self.mocap is not None else ()
-        if unseen == self._unseen:
-            return
-        self._unseen = unseen
-        names = ", ".join(map(str, unseen))
-        text = f"no pose of system {names} for {UNSEEN:g} s" if unseen else "has all poses again"
-        self.conductor.report("motion capture", text)
 
     def _decide(self, audit: Audit) -> None:
         """Start the preflight once; start or refuse the flight when it has decided."""

@@ -1,5 +1,6 @@
 """The ground check of a fleet, ``swarm check``: a go/no-go list before arming."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -48,6 +49,7 @@ SUBJECTS = {
     "health": "health and arming",
     "battery": "battery",
     "position": "position quality",
+    "corrections": "corrections of positions",
     "parameters": "parameters",
     "placement": "positions against pads",
     "origin": "origins",
@@ -125,6 +127,7 @@ class CheckOptions:
     - ``soak``: seconds for which the links are measured.
     - ``confirm_fix``: called with the deviating parameters; True sets them.
     - ``restore``: folder of an earlier check or flight whose saved parameters are set again.
+    - ``rtcm``: address of a source of corrections that are sent to the vehicles' receivers.
     - ``progress``: called from another thread with the present step.
     """
 
@@ -132,6 +135,7 @@ class CheckOptions:
     confirm_fix: Callable[[Sequence[ParameterResult]], bool] | None = None
     restore: Path | None = None
     progress: ProgressCallback = lambda *_: None
+    rtcm: str | None = None
 
 
 def check(
@@ -157,7 +161,7 @@ def check(
         for system in fleet.systems:
             _saved(options.restore, system)
     plan = flight_plan.plan if flight_plan else None
-    with open_survey(fleet, folder, plan) as survey:
+    with open_survey(fleet, folder, plan, options.rtcm) as survey:
         return survey.run(_Check(survey, folder, plan, options).run)
 
 
@@ -301,7 +305,10 @@ class _Check:
             names = {v.system: v.autopilot.name for v in self.listener.received if v.autopilot}
             flown = [(names[system], values[system]) for system in order if system in values]
             findings.extend(stream_loss_findings(plan, stream_loss_model(flown, fleet.limits))[1])
-        findings.extend(self.listener.frames_and_clocks())
+        tracking = plan.mission.vehicles.tracking if plan else math.inf
+        findings.extend(self.listener.frames_and_clocks(tracking))
+        if self.survey.corrections is not None:
+            findings.append(self.survey.corrections.finding(self.listener.now))
         for link in links:
             findings.extend(link.findings(STREAM_LOSS_TIME, fleet.rates.position))
         findings.extend(radio_findings(fleet, plan.vehicles if plan else len(fleet.vehicles)))

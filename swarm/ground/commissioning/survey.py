@@ -14,6 +14,7 @@ from typing import TypeVar
 from swarm.errors import InputError, Problem, SwarmError, VehicleError
 from swarm.flight.fleet_listener import FleetListener
 from swarm.flight.world import bare_world, emulated_world
+from swarm.ground.corrections import Corrections, open_corrections
 from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.loop import Loop
 from swarm.ground.relay import Relay
@@ -29,11 +30,15 @@ _POLL = 0.1
 
 @dataclass
 class Survey:
-    """A fleet on open links; ``relay`` has a loopback endpoint for each vehicle."""
+    """A fleet on open links; ``relay`` has a loopback endpoint for each vehicle.
+
+    ``corrections`` go to the vehicles' receivers meanwhile.
+    """
 
     listener: FleetListener
     relay: Relay
     links: Links
+    corrections: Corrections | None = None
     _pause: threading.Event = field(default_factory=threading.Event)
 
     def run(self, work: Callable[[], T]) -> T:
@@ -54,7 +59,8 @@ class Survey:
 
         thread = threading.Thread(target=run_work, name="survey", daemon=True)
         thread.start()
-        Loop(self.listener, self.links, None, 1.0, lambda _: None, self.relay).run()
+        feeds = [self.corrections] if self.corrections is not None else []
+        Loop(self.listener, self.links, None, 1.0, lambda _: None, self.relay, feeds=feeds).run()
         thread.join()
         if errors:
             raise errors[0]
@@ -92,10 +98,13 @@ class Survey:
 
 
 @contextmanager
-def open_survey(fleet: Fleet, folder: Path, plan: Plan | None = None) -> Iterator[Survey]:
+def open_survey(
+    fleet: Fleet, folder: Path, plan: Plan | None = None, rtcm: str | None = None
+) -> Iterator[Survey]:
     """Open the links of a fleet, and start the emulator for an emulated one.
 
     ``folder`` is for the files of the emulator, whose vehicles stand on the pads of ``plan``.
+    ``rtcm`` is the address of a source of corrections.
     Raises :class:`InputError` if files cannot be written.
     """
     with ExitStack() as resources:
@@ -117,6 +126,7 @@ def open_survey(fleet: Fleet, folder: Path, plan: Plan | None = None) -> Iterato
                 )
                 emulator = EmulatorProcess(world, folder, port, 1.0, fleet.signing_key)
                 resources.callback(emulator.stop)
-            yield Survey(listener, relay, links)
+            source = open_corrections(rtcm, fleet, listener.team)
+            yield Survey(listener, relay, links, resources.enter_context(source))
         except OSError as error:
             raise InputError([Problem(str(folder), str(error.strerror or error))]) from None
