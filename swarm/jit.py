@@ -20,6 +20,9 @@ import llvmlite.binding
 import numba
 import numpy as np
 from numba import types
+from numba.core.ccallback import CFunc
+from numba.core.runtime import rtsys
+from numba.experimental import function_type
 
 from swarm.signatures import signature
 
@@ -44,6 +47,11 @@ _OPTIONS: Final = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": Tr
 
 _IMPORTS: Final = re.compile(rb"\n[ \t]*(?:from|import) +([\w.]+)(?: +import +(\([^)]*\)|[^\n]*))?")
 """An import: the module, and the imported names."""
+
+
+_TYPES: Final = CFunc, function_type.WrapperAddressProtocol
+"""Types that Numba registers at the first compilation, otherwise while another thread, which only
+calls machine code, goes through the registered ones."""
 
 
 def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
@@ -97,11 +105,23 @@ def _made(function: Callable[..., Any], folder: str, **options: Any) -> Any:
         # Not beside the module: pip uninstall leaves files that it did not install, and Python
         # treats the remaining folders as a package.
         numba.config.CACHE_DIR = str(_folder(function.__code__.co_filename) / folder)
-        return numba.njit(function, cache=True, **options)
+        made = numba.njit(function, cache=True, **options)
+        made._cache.load_overload = functools.partial(_loaded, made._cache)
+        return made
     except (RuntimeError, OSError):
         return numba.njit(function, **options)
     finally:
         numba.config.CACHE_DIR = before
+
+
+def _loaded(kept: Any, types_: Any, context: Any) -> Any:
+    """Return what Numba's cache has ``kept`` for argument types, None where it has nothing.
+
+    Numba's own method first imports and registers all that can be compiled, which takes 0.2 s and
+    is done again before each compilation. Machine code needs the runtime alone.
+    """
+    rtsys.initialize(context)
+    return kept._load_overload(types_, context)
 
 
 def _kept_for_callers(made: Any, compiled_as: Any) -> None:

@@ -42,7 +42,7 @@ def package(tmp_path: Path) -> Path:
     for name, text in PACKAGE.items():
         (tmp_path / "swarm" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "swarm" / name).write_text(text)
-    for name in ("__init__.py", "jit.py", "signatures.py"):
+    for name in ("__init__.py", "jit.py", "signatures.py", "version.py"):
         shutil.copy(Path(jit.__file__).parent / name, tmp_path / "swarm" / name)
     return tmp_path
 
@@ -73,6 +73,19 @@ def test_changes_in_other_files_are_detected(package):
         file = package / "swarm" / name
         file.write_text(file.read_text().replace(before, after))
         assert run(package) == result
+
+
+def test_the_first_compilation_registers_no_more_types_of_arguments():
+    script = (
+        "from numba.core.registry import cpu_target\n"
+        "from numba.core.typing.typeof import typeof_impl\n"
+        "from swarm import jit\n"
+        "before = set(typeof_impl.registry)\n"
+        "cpu_target.target_context.refresh()\n"
+        "print(set(typeof_impl.registry) - before)\n"
+    )
+    found = subprocess.check_output([sys.executable, "-B", "-c", script], text=True)
+    assert found.strip() == "set()"
 
 
 def test_files_that_are_not_imported_do_not_matter(package):

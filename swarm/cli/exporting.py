@@ -3,14 +3,17 @@
 from collections.abc import Iterable
 from math import ceil
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from swarm.errors import InputError, Problem, SwarmError
 from swarm.exports import motion_rows
 from swarm.files import write_bytes, write_folder, write_text
 from swarm.formats.crazyswarm import MEMORY, trajectory_files
-from swarm.formats.samples import Samples, sampled_plan
 from swarm.formats.skybrush import show_file
 from swarm.planner import PlanningResult
+
+if TYPE_CHECKING:
+    from swarm.formats.samples import Samples
 
 SAMPLED = (".mcap", ".parquet", ".rosbag")
 """Ends of names for samples over time, of a plan or of a flight."""
@@ -48,6 +51,8 @@ def export_plan(planned: PlanningResult, path: Path) -> str:
             pieces = len(planned.plan.motion.coefficients)
             return f"{_pieces(pieces)}; {_NOT_IN_IT}"
         case _:
+            from swarm.formats.samples import sampled_plan  # noqa: PLC0415 - slow to import
+
             export_samples(sampled_plan(planned.plan), path)
     return ""
 
@@ -58,7 +63,7 @@ def _pieces(count: int) -> str:
     return f"{count} pieces, more than the {MEMORY} that a Crazyflie's memory holds: stream them"
 
 
-def export_samples(samples: Samples, path: Path) -> None:
+def export_samples(samples: "Samples", path: Path) -> None:
     """Write samples in the format that the name of the file asks for."""
     require_suffix(path, SAMPLED)
     if path.suffix == ".parquet":

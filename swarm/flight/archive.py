@@ -8,18 +8,13 @@ from dataclasses import asdict, fields
 from math import inf
 from typing import Any, get_args
 
-import numpy as np
-
 from swarm.certification.assessment import Assessment, Tightest
 from swarm.certification.clearances import MOST_TRACKING, MOST_WIND, Robustness
 from swarm.certification.findings import Finding, Severity
 from swarm.errors import InputError, Problem, shown
 from swarm.exports import finding_object, tightest_object
 from swarm.flight.flight_plan import Basis, Kind
-from swarm.flight.tlog import KnownFrames
-from swarm.mavlink.frames import Frames
 from swarm.mission.sections import LARGEST_TRACKING
-from swarm.planning import Plan
 from swarm.planning.archive import READ_ERRORS
 
 _CLEARANCES = ("cable", "vehicle", "vehicle_cable")
@@ -73,36 +68,6 @@ def _require_range(source: str, key: str, value: Any, most: float) -> None:
     if value is not None and not (number and 0.0 <= value <= most):
         message = f"expected null or a number from 0 to {most:g}, got {shown(value)}"
         raise InputError([Problem(f"{source}: {key}", message)])
-
-
-def frames_document(known: KnownFrames) -> dict[str, Any]:
-    """Return frames as plain data for JSON: a resumed flight's log does not determine them."""
-    return {
-        "schema": 1,
-        "systems": list(known.systems),
-        "rotation": known.frames.rotation.tolist(),
-        "translation": known.frames.translation.tolist(),
-        "yaw": known.yaw.tolist(),
-    }
-
-
-def read_frames(document: Mapping[str, Any], plan: Plan) -> KnownFrames:
-    """Return the content of a :func:`frames_document`; raises :class:`InputError`."""
-    n = plan.vehicles
-    try:
-        systems = tuple(int(system) for system in document["systems"])
-        rotation = np.array(document["rotation"], dtype=np.float64)
-        translation = np.array(document["translation"], dtype=np.float64)
-        yaw = np.array(document["yaw"], dtype=np.float64)
-        if (len(systems), rotation.shape, translation.shape, yaw.shape) != (
-            n, (n, 3, 3), (n, 3), (n,),
-        ):  # fmt: skip
-            raise ValueError(f"not of {n} vehicles")
-        if not all(np.isfinite(array).all() for array in (rotation, translation, yaw)):
-            raise ValueError("numbers that are not finite")
-        return KnownFrames(systems, Frames(rotation, translation), yaw)
-    except READ_ERRORS as error:
-        raise InputError(f"the record's frames cannot be read: {error}") from None
 
 
 def _read_finding(document: Mapping[str, Any]) -> Finding:

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,7 @@ from swarm.mavlink.packets import GROUND_SYSTEM, Decoder, Encoder, Packet, packe
 from swarm.mavlink.vehicle import Vehicle
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
+from swarm.planning.archive import READ_ERRORS
 from swarm.tables import stamp_unit
 
 Floats = npt.NDArray[np.float64]
@@ -215,6 +217,36 @@ class KnownFrames:
     systems: tuple[int, ...]
     frames: Frames
     yaw: Floats
+
+
+def frames_document(known: KnownFrames) -> dict[str, Any]:
+    """Return frames as plain data for JSON: a resumed flight's log does not determine them."""
+    return {
+        "schema": 1,
+        "systems": list(known.systems),
+        "rotation": known.frames.rotation.tolist(),
+        "translation": known.frames.translation.tolist(),
+        "yaw": known.yaw.tolist(),
+    }
+
+
+def read_frames(document: Mapping[str, Any], plan: Plan) -> KnownFrames:
+    """Return the content of a :func:`frames_document`; raises :class:`InputError`."""
+    n = plan.vehicles
+    try:
+        systems = tuple(int(system) for system in document["systems"])
+        rotation = np.array(document["rotation"], dtype=np.float64)
+        translation = np.array(document["translation"], dtype=np.float64)
+        yaw = np.array(document["yaw"], dtype=np.float64)
+        if (len(systems), rotation.shape, translation.shape, yaw.shape) != (
+            n, (n, 3, 3), (n, 3), (n,),
+        ):  # fmt: skip
+            raise ValueError(f"not of {n} vehicles")
+        if not all(np.isfinite(array).all() for array in (rotation, translation, yaw)):
+            raise ValueError("numbers that are not finite")
+        return KnownFrames(systems, Frames(rotation, translation), yaw)
+    except READ_ERRORS as error:
+        raise InputError(f"the record's frames cannot be read: {error}") from None
 
 
 def replay(data: bytes, plan: Plan, fleet: Fleet, known: KnownFrames | None = None) -> Replayed:

@@ -31,7 +31,7 @@ from swarm.geometry.sensitivity import (
     response_between,
     share_of,
 )
-from swarm.geometry.shape_tables import Nodes, bounds_over_cells, nodes_of
+from swarm.geometry.shape_tables import Nodes, bounds_over_cells, kept, nodes_of
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats2, Floats3, Ints1
 from swarm.threads import once
@@ -323,6 +323,11 @@ def curvature_table() -> Floats:
 
     Bands are of elevations; parts of a strand are counted from the lower end.
     """
+    return kept(__file__, "curvature", _curvatures)
+
+
+def _curvatures() -> Floats:
+    """Return :func:`curvature_table`."""
     edges = -np.expm1(np.log1p(-LARGEST_RATIO) * np.arange(1, _BINS + 1) / _BINS)
     below = _SHORTEST_SPAN * np.array([1.0, 1.4, 2.0])
     slopes = np.tan(

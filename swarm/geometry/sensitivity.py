@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary_kernel import max_elevation_sine
-from swarm.geometry.shape_tables import Nodes, bounds_over_cells, nodes_of
+from swarm.geometry.shape_tables import Nodes, bounds_over_cells, kept, nodes_of
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats5, Ints1
 from swarm.threads import once
@@ -245,6 +245,11 @@ def _bin(ratio: float) -> int:
 @once
 def sensitivity_tables() -> Sensitivity:
     """Return the tables; computed once, in about half a second."""
+    return Sensitivity(kept(__file__, "sensitivity", _bounds))
+
+
+def _bounds() -> Floats:
+    """Return :attr:`Sensitivity.bounds`."""
     bins = _bin(LARGEST_RATIO + 1e-9) + 1
     edges = -np.expm1(-_STEP * np.arange(1, bins + 1))
     nodes = nodes_of(np.concatenate([_NEARLY_ONE_PLACE, edges]), _STEEPNESS, _POINTS)
@@ -270,7 +275,7 @@ def sensitivity_tables() -> Sensitivity:
     integral = np.zeros_like(norm)
     integral[..., 1:, :] = np.cumsum(norm * width[:, None], axis=-2)[..., :-1, :]
     columns = [table[:, :, direction] for direction in (0, 1) for table in (norm, integral)]
-    return Sensitivity(np.ascontiguousarray(np.stack(columns, axis=-1).swapaxes(2, 3)))
+    return np.ascontiguousarray(np.stack(columns, axis=-1).swapaxes(2, 3))
 
 
 def _over_pieces(finest: Floats) -> Floats:

@@ -12,17 +12,51 @@ of the length, of the inclination by which the strand turns, and of θ (sinh θ 
 steps are small in a bend and beside it, too, however narrow it is.
 """
 
+import hashlib
+import io
+from collections.abc import Callable
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from swarm.errors import InputError
+from swarm.files import read_bytes, write_bytes
 from swarm.geometry.catenary_kernel import solve
 from swarm.geometry.catenary_shape import SMALLEST_HALF_ANGLE
-from swarm.jit import compiled
+from swarm.jit import cache, compiled, key
 from swarm.signatures import Floats1, Floats3
 
 Floats = npt.NDArray[np.float64]
+
+
+_LARGEST_TABLE = 2**26
+"""Bytes of a table that is read: those of the sensitivity are 13 MB."""
+
+
+def kept(file: str, name: str, compute: Callable[[], Floats]) -> Floats:
+    """Return a computed table that depends on the sources of a file alone, from the user's cache.
+
+    It is kept as the file's machine code is, for the same sources, compiler and processor, and as
+    that computed where it is not kept or cannot be. Its digest shows what was damaged since.
+    """
+    try:
+        path = cache() / key(file) / f"{name}.table"
+    except OSError:  # the file has changed
+        return compute()
+    with suppress(InputError):
+        digest, _, contents = read_bytes(path, _LARGEST_TABLE).partition(b"\n")
+        if digest == hashlib.sha256(contents).hexdigest().encode():
+            found: Floats = np.load(io.BytesIO(contents), allow_pickle=False)
+            return found
+    found, written = compute(), io.BytesIO()
+    np.save(written, found)
+    contents = written.getvalue()
+    with suppress(InputError, OSError):  # where the cache is not writable
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(path, hashlib.sha256(contents).hexdigest().encode() + b"\n" + contents)
+    return found
 
 
 class Nodes(NamedTuple):

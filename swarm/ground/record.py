@@ -21,12 +21,12 @@ import numpy as np
 
 from swarm.errors import InputError, Problem
 from swarm.flight.adherence import adherence_object
-from swarm.flight.archive import certificate_document, frames_document
+from swarm.flight.archive import certificate_document
 from swarm.flight.flight_plan import Basis, FlightPlan
 from swarm.flight.flown_swing import largest_stray, swing_object
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event
-from swarm.flight.tlog import KnownFrames
+from swarm.flight.tlog import KnownFrames, frames_document
 from swarm.ground.priority import run_behind_main_thread
 from swarm.mavlink.packets import split_packets
 from swarm.mission.fleet import Fleet

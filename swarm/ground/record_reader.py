@@ -12,10 +12,10 @@ from pydantic import TypeAdapter, ValidationError
 from swarm.certification.assessment import Assessment
 from swarm.errors import InputError, Problem, reason
 from swarm.files import parse_json, read_bytes
-from swarm.flight.archive import read_certificate, read_frames
+from swarm.flight.archive import read_certificate
 from swarm.flight.flight_plan import Basis
 from swarm.flight.snapshot import Event
-from swarm.flight.tlog import KnownFrames, Replayed, replay
+from swarm.flight.tlog import KnownFrames, Replayed, read_frames, replay
 from swarm.mission.fleet import Fleet
 from swarm.mission.validation import LARGEST_FILE
 from swarm.planning import Plan, digest

@@ -7,17 +7,12 @@ import numpy as np
 import pytest
 
 from swarm.errors import InputError, Refused
-from swarm.flight.archive import (
-    certificate_document,
-    frames_document,
-    read_certificate,
-    read_frames,
-)
+from swarm.flight.archive import certificate_document, read_certificate
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ResumedFlight
 from swarm.flight.resuming import left_off
 from swarm.flight.setup import Options
-from swarm.flight.tlog import ClockEncoder, replay
+from swarm.flight.tlog import ClockEncoder, frames_document, read_frames, replay
 from swarm.ground.record import Record
 from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.fault_injection.stepped_simulation import set_audited_parameters

@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from swarm.geometry import linear_response, sensitivity
+from swarm.geometry import linear_response, sensitivity, shape_tables
 from swarm.geometry.catenary import solve_catenaries
-from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
-from swarm.geometry.shape_tables import Nodes
+from swarm.geometry.linear_response import curvature_table
+from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END, sensitivity_tables
+from swarm.geometry.shape_tables import Nodes, kept
 
 NARROW = (0.053, 18.0), (0.051, 4.0), (0.06, 0.0), (0.2, 71.0), (0.9, 86.5), (0.97, 60.0)
 """Chord over length and elevation, degrees: narrow bends, and strands near taut."""
@@ -160,3 +161,31 @@ def test_a_search_for_shapes_beyond_the_tables_finds_none(begins, steps):
         largest = max(largest, -found.fun)
         assert max(shares(found.x)) <= 1.0
     assert largest > 0.9
+
+
+def test_a_table_is_computed_once_and_again_where_it_is_damaged(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    computed = []
+
+    def table() -> np.ndarray:
+        computed.append(1)
+        return np.arange(6.0).reshape(2, 3)
+
+    def read() -> int:
+        assert np.array_equal(kept(shape_tables.__file__, "some", table), table())
+        return len(computed)
+
+    assert read() == 2
+    assert read() == 3
+    (file,) = tmp_path.rglob("some.table")
+    file.write_bytes(file.read_bytes()[:-1] + b"\0")
+    assert read() == 5
+    assert read() == 6
+    file.unlink()
+    file.mkdir()
+    assert read() == 8
+
+
+def test_the_kept_tables_are_those_that_their_sources_compute():
+    assert np.array_equal(sensitivity_tables().bounds, sensitivity._bounds())
+    assert np.array_equal(curvature_table(), linear_response._curvatures())
