@@ -210,7 +210,20 @@ def key(file: str) -> str:
     The sources are the contents of the file and of the files that it imports. Raises OSError where
     a file cannot be read, or has changed since this process started.
     """
-    digest = hashlib.sha256(compiler().encode())
+    return _name_of_sources(file, compiler())
+
+
+@functools.cache
+def program(file: str) -> str:
+    """Return a name for the sources of a file alone, the same on every machine.
+
+    Raises OSError as :func:`key`.
+    """
+    return _name_of_sources(file, "")
+
+
+def _name_of_sources(file: str, beginning: str) -> str:
+    digest = hashlib.sha256(beginning.encode())
     for name, contents in sorted(_sources(file).items()):
         digest.update(f"{name}\n{contents}\n".encode())
     return digest.hexdigest()[:16]

@@ -56,6 +56,8 @@ PLAN_FILE: Mapping[str, Mapping[str, str]] = {
         "format": f"`{FORMAT}`",
         "schema": f"`{SCHEMA}`: the version of the format; every other one is refused",
         "swarm": "version of the program that wrote the file",
+        "checks": "SHA-256, shortened, of the sources of that program's checks: whether this program "
+        "is the same",
         "digest": "SHA-256 of the plan, as the certificate and flight records name it",
         "sha256": "SHA-256 of each of the other members, by name",
     },
@@ -115,8 +117,13 @@ bit; a plan that is read and written again gives the same bytes. Nothing in a fi
    The file is refused where the plan is not cleared, or where its certificate states another knot, other
    checks, a distance that differs by more than 4 mm (the resolution of the search), or an e\\* or w\\* for
    which the plan is not certified.
+5. A file of another version of the program (`checks` differs or is absent) is read as a plan, because
+   the checks of that version may have been others. Its plan must be cleared by today's checks; e\\* and
+   w\\* are searched again. What the file states otherwise is printed and does not count: `swarm plan
+   FILE.plan --save` writes the plan with the new certificate.
 
-So an edited certificate is refused, and an edited plan flies only if all checks clear it. Every message
+So an edited certificate is refused or does not count, and an edited plan flies only if all checks clear
+it. Every message
 names the member and the key, and the exit code is 2.
 """
 

@@ -17,6 +17,7 @@ from swarm.front.plan_files import certified_plan_file, read_certified
 from swarm.front.plans import Plan, load_plan
 from swarm.planning import digest
 from swarm.planning.archive import plan_file
+from swarm.version import __version__
 from tests.command import run
 from tests.docs_reference import PLAN_FILE
 from tests.network import sideways, uncleared
@@ -40,14 +41,14 @@ def members(data: bytes) -> dict[str, bytes]:
         return {name: archive.read(name) for name in archive.namelist()}
 
 
-def forged(name: str, change, **manifest: str) -> bytes:
+def forged(name: str, change, **manifest: str | None) -> bytes:
     """Return the file with a changed document, and with a manifest that agrees with the change."""
     document = json.loads(members(written())[name])
     change(document)
     return repacked(name, json.dumps(document).encode(), **manifest)
 
 
-def repacked(name: str, data: bytes, **manifest: str) -> bytes:
+def repacked(name: str, data: bytes, **manifest: str | None) -> bytes:
     """Return the file with another member, and with a manifest that agrees with it."""
     parts = members(written())
     parts[name] = data
@@ -68,7 +69,8 @@ def refusal(data: bytes) -> str:
 
 
 def test_a_certified_plan_is_read_bit_by_bit_and_certified_again():
-    again = read_certified(written(), "a.plan")
+    again, notice = read_certified(written(), "a.plan")
+    assert notice == ""
     assert digest(again.plan) == digest(reviewed().plan) == again.certificate.digest
     assert again.assessment.robustness == reviewed().assessment.robustness
     assert again.assessment.findings == reviewed().assessment.findings
@@ -129,6 +131,58 @@ def test_an_edited_certificate_is_refused_with_every_figure_that_does_not_hold()
         f"{place}: robustness.tracking: expected a value for which the plan is certified, got 0.99",
         f"{place}: findings: expected info scope, as computed again, got none",
         f"{place}: findings: got info blessing, which the checks do not find",
+    ]
+
+
+def stating_more(document) -> None:
+    """Change a certificate so that it states more than the checks of its plan show."""
+    document["clearance"]["vehicle"]["distance"] += 0.1
+    document["robustness"].update(tracking=0.99)
+    document["max_tracking_error"] = 0.99
+    document["findings"].pop()
+
+
+@pytest.mark.parametrize("checks", ["0123456789abcdef", None])
+def test_a_file_of_another_version_is_certified_anew_and_never_believed(checks):
+    shown = reviewed().assessment
+    planned, notice = read_certified(
+        forged("certificate.json", stating_more, checks=checks), "a.plan"
+    )
+    assert planned.certificate.digest == digest(reviewed().plan)
+    assert planned.assessment.robustness == shown.robustness
+    assert planned.assessment.findings == shown.findings
+    assert planned.assessment.vehicle == shown.vehicle
+    assert notice.splitlines() == [
+        "a.plan: certified by another version of the program; all checks were computed again by "
+        f"this one ({__version__}), and only their results count",
+        f"  clearance.vehicle.distance: {shown.vehicle.distance:.4f} as computed again, "
+        f"{shown.vehicle.distance + 0.1:.4f} in the file",
+        f"  robustness.tracking: {shown.robustness.tracking:g} as computed again, 0.99 in the file",
+        "  findings: info scope as computed again, none in the file",
+    ]
+    assert certified_plan_file(planned.certified()) == written()
+
+
+def test_a_file_of_another_version_with_the_same_figures_says_so(tmp_path):
+    path = tmp_path / "a.plan"
+    path.write_bytes(forged("certificate.json", lambda _: None, checks=None))
+    said = run("plan", str(path), "--save", str(tmp_path / "b.plan"))
+    assert said.returncode == 0
+    assert said.stderr == (
+        f"{path}: certified by another version of the program; all checks were computed again by "
+        f"this one ({__version__}), and only their results count\n  no figure differs\n"
+        f"{tmp_path / 'b.plan'}: saved; digest {digest(reviewed().plan)}\n"
+    )
+    assert (tmp_path / "b.plan").read_bytes() == written()
+
+
+def test_a_file_of_another_version_is_refused_where_its_plan_is():
+    refused = uncleared("clearance.vehicle=3.2").plan
+    document = json.loads(members(written())["certificate.json"]) | {"digest": digest(refused)}
+    data = plan_file(refused, document, "another version")
+    errors = [each for each in certify(refused).findings if each.severity == "error"]
+    assert refusal(data).splitlines() == [
+        f"a.plan: certificate.json: {each.check}: {each.message}" for each in errors
     ]
 
 

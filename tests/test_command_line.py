@@ -42,7 +42,7 @@ def test_a_plan_for_a_fleet_has_its_measured_tracking_error(tmp_path: Path) -> N
     assert said.stderr.startswith(
         "Planned for a tracking error of 0.13 m, as measured for fleet emulator; hover has 0.1 m"
     )
-    assert load_certified(str(tmp_path / "a.plan")).plan.mission.vehicles.tracking == 0.13
+    assert load_certified(str(tmp_path / "a.plan"))[0].plan.mission.vehicles.tracking == 0.13
     again = run("plan", str(tmp_path / "a.plan"), "--fleet", str(fleet))
     assert again.returncode == 2
     assert f"--fleet: {tmp_path / 'a.plan'} is a plan file, which is not planned again" in (

@@ -35,8 +35,12 @@ class Source:
         """Return the plan and its certificate, with a progress line."""
         if isinstance(self.given, Mission):
             return plan_mission(self.given, replan=self.replan, flight=self.flight)
-        with progress_bar(Console(stderr=True), "certificate") as progress:
-            return load_certified(self.given, progress)
+        console = Console(stderr=True)
+        with progress_bar(console, "certificate") as progress:
+            planned, notice = load_certified(self.given, progress)
+        if notice:
+            console.print(notice, highlight=False, markup=False, soft_wrap=True)
+        return planned
 
 
 def load_source(

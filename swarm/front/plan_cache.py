@@ -21,7 +21,7 @@ import scipy
 
 from swarm import jit
 from swarm.errors import InputError, SwarmError
-from swarm.front.plan_files import LARGEST_PLAN, certified_plan_file, read_certified
+from swarm.front.plan_files import LARGEST_PLAN, certified_plan_file, checks, read_certified
 from swarm.mission import Mission
 from swarm.planner import PlanningResult
 
@@ -52,9 +52,9 @@ def find(
     if not 0.0 <= time.time() - computed <= KEPT or len(data) > LARGEST_PLAN:
         return None
     try:
-        planned = read_certified(data, str(path), progress)
-        if planned.plan.mission != mission:
-            raise InputError("the plan of another mission")
+        planned, notice = read_certified(data, str(path), progress)
+        if notice or planned.plan.mission != mission:
+            raise InputError("the plan of another mission or version")
     except SwarmError:
         with suppress(OSError):
             path.unlink()
@@ -87,21 +87,23 @@ def _path(mission: Mission) -> Path | None:
     given = os.environ.get(VARIABLE)
     if given == "":
         return None
-    try:
-        name = _key(mission)
-    except OSError:  # the sources have changed since this process started
+    name = _key(mission)
+    if name is None:
         return None
     return (Path(given) if given else jit.cache() / "plans") / f"{name}.plan"
 
 
-def _key(mission: Mission) -> str:
-    """Return a digest of everything that a plan and its certificate depend on."""
-    tables = Path(__file__).parents[1] / "knots"
-    found = hashlib.sha256(f"{jit.key(__file__)} {scipy.__version__}\n".encode())
-    for table in sorted(tables.glob("*.txt")):
-        found.update(table.read_bytes())
-    found.update(json.dumps(mission.model_dump(mode="json"), sort_keys=True).encode())
-    return found.hexdigest()
+def _key(mission: Mission) -> str | None:
+    """Return a digest of everything that a plan and its certificate depend on.
+
+    None where the sources have changed since this process started.
+    """
+    program = checks()
+    if program is None:
+        return None
+    document = json.dumps(mission.model_dump(mode="json"), sort_keys=True)
+    everything = f"{program} {jit.compiler()} {scipy.__version__}\n{document}"
+    return hashlib.sha256(everything.encode()).hexdigest()
 
 
 def _prune(folder: Path) -> None:

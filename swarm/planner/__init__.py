@@ -85,16 +85,18 @@ def plan(
 
 
 def certify_again(
-    plan: Plan, recorded: Robustness, progress: Progress | None = None
+    plan: Plan, recorded: Robustness | None, progress: Progress | None = None
 ) -> PlanningResult:
     """Certify a plan that was planned before, with its recorded e* and w*.
 
     All checks are computed again from the plan; e* and w* are None in the result where they do not
-    hold.
+    hold. Without ``recorded`` ones, e* and w* of a cleared plan are computed too.
     """
     with one_thread():
         certificate = certify(plan, progress=progress)
-        if certificate.cleared:
+        if certificate.cleared and recorded is None:
+            certificate = certify_robustness(plan, certificate, progress)
+        elif certificate.cleared and recorded is not None:
             if progress:
                 progress("recorded e* and w*", 0.0)
             certificate = with_recorded_robustness(plan, certificate, recorded)

@@ -193,18 +193,23 @@ class PlanFile:
     """The content of a plan file: the plan, and the document of its certificate.
 
     The document is what the file states, not yet compared with the plan; None in a file without.
+    ``checks`` names the program that computed it; None in files of programs before that key.
     """
 
     plan: Plan
     certificate: Mapping[str, Any] | None
+    checks: str | None = None
 
 
-def plan_file(plan: Plan, certificate: Mapping[str, Any] | None = None) -> bytes:
+def plan_file(
+    plan: Plan, certificate: Mapping[str, Any] | None = None, checks: str | None = None
+) -> bytes:
     """Return a plan as one file: a ZIP archive of JSON documents and the motion.
 
-    ``certificate`` is the document of its certificate, as a flight record has it. The manifest
-    holds the format's name and version, the version of the program, the plan's digest, and the
-    SHA-256 of the other members. Floats are kept to the last bit; equal plans give equal bytes.
+    ``certificate`` is the document of its certificate, as a flight record has it, and ``checks``
+    the name of the program that computed it. The manifest holds the format's name and version, the
+    version of the program, that name, the plan's digest, and the SHA-256 of the other members.
+    Floats are kept to the last bit; equal plans give equal bytes.
     """
     members = {_DOCUMENT: _json(plan_document(plan)), _MOTION: plan_motion(plan)}
     if certificate is not None:
@@ -213,6 +218,7 @@ def plan_file(plan: Plan, certificate: Mapping[str, Any] | None = None) -> bytes
         "format": FORMAT,
         "schema": SCHEMA,
         "swarm": __version__,
+        **({} if checks is None else {"checks": checks}),
         "digest": digest(plan),
         "sha256": {name: _sha256(data) for name, data in members.items()},
     }
@@ -241,7 +247,8 @@ def read_plan_file(data: bytes, source: str) -> PlanFile:
     _require(f"{source}: digest", manifest["digest"], digest(plan))
     if _CERTIFICATE not in members:
         return PlanFile(plan, None)
-    return PlanFile(plan, _document(members[_CERTIFICATE], f"{source}: {_CERTIFICATE}"))
+    certificate = _document(members[_CERTIFICATE], f"{source}: {_CERTIFICATE}")
+    return PlanFile(plan, certificate, manifest.get("checks"))
 
 
 def _read_manifest(data: bytes, source: str) -> Mapping[str, Any]:
