@@ -111,6 +111,21 @@ def verify_trace(plan: Plan, trace: Trace) -> Verification:
     )
 
 
+def closest_pairs(plan: Plan, position: Floats, *, cable: bool) -> tuple[Tightest, ...]:
+    """Return the smallest distances of grip points (n, 3) at one moment: of vehicles and, with
+    cable aloft, of strands that share no vehicle, and of vehicles and cable.
+
+    None where the position of a vehicle is not known.
+    """
+    if not np.isfinite(position).all():
+        return ()
+    place, time = position[None], np.zeros(1)
+    found = [_closest_vehicles(plan, place, time)]
+    if cable and len(plan.layout.lengths):
+        found += [_closest_strands(plan, place, time), _closest_vehicle_to_cable(plan, place, time)]
+    return tuple(one for one in found if one is not None)
+
+
 def _knot(plan: Plan, held: Floats) -> tuple[str, Chirality, str, bool, tuple[str, ...]]:
     if not len(held):
         return "unknown", "none", "", False, ("no positions were reported in the hold",)

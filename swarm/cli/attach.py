@@ -1,5 +1,6 @@
 """``swarm attach`` and ``swarm flights``: screens of flights that another terminal began."""
 
+import getpass
 import json
 import os
 import re
@@ -17,7 +18,8 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from swarm.cli.inputs import JSON, print_json
+from swarm.cli.flight_session import CONSOLE, CONSOLE_CERTIFICATE, opened_console
+from swarm.cli.inputs import JSON, print_json, refuse_option_conflicts
 from swarm.errors import InputError, Problem, Refused, VehicleError, reason
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.flight_process import MODULE
@@ -40,23 +42,40 @@ _DETACH = "d"
 @click.argument(
     "record", type=click.Path(file_okay=False, path_type=Path), metavar="[RECORD]", required=False
 )
+@CONSOLE
+@CONSOLE_CERTIFICATE
 @click.pass_context
-def attach(context: click.Context, record: Path | None) -> None:
+def attach(
+    context: click.Context,
+    record: Path | None,
+    console: str | None,
+    console_certificate: Path | None,
+) -> None:
     """Show a flight that another terminal began, with its keys; the key d detaches.
 
     RECORD is the folder of its record; without it, the only flight that runs. Ctrl-C holds and
-    lands the team, as in the terminal that began the flight.
+    lands the team, as in the terminal that began the flight. A console that was opened with
+    --console goes on until the flight ends.
 
     Example: swarm attach flights/2025-06-01T10-00-00-overhand
     """
+    certificate = console_certificate
+    given = {"console": console, "console_certificate": certificate}
+    refuse_option_conflicts(given, {"console_certificate": ("console",)}, [])
     folder = record if record is not None else _only_flight()
     connection = _connect(folder)
-    plan, console = recorded_plan(folder), Console()
+    plan, terminal = recorded_plan(folder), Console()
     sender = _Sender(connection)
     signal.signal(signal.SIGINT, lambda *_: sender.line("interrupt"))
-    screen = FlightScreen(plan, console, keys=sys.stdin.isatty())
+    screen = FlightScreen(plan, terminal, keys=sys.stdin.isatty())
+    sender.line(f"name {getpass.getuser()} at an attached terminal")
     sender.line("watch")
-    with connection, screen, terminal_keys(sender) as poll_keys:
+    with (
+        connection,
+        opened_console(folder, console, certificate, terminal),
+        screen,
+        terminal_keys(sender) as poll_keys,
+    ):
         for item in _watched(connection):
             if isinstance(item, Snapshot):
                 screen.show(item)
@@ -64,9 +83,9 @@ def attach(context: click.Context, record: Path | None) -> None:
                 screen.event(item)
             poll_keys()
             if sender.detached:
-                console.print("Detached: the flight goes on.", highlight=False)
+                terminal.print("Detached: the flight goes on.", highlight=False)
                 return
-    context.exit(_print_outcome(folder, console))
+    context.exit(_print_outcome(folder, terminal))
 
 
 @click.command()

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from swarm.certification.assessment import Assessment
 from swarm.cli.inputs import Address, print_json
+from swarm.console.launch import DEFAULT, open_console, parse_address
 from swarm.errors import InputError, Interrupted, Problem, reason
 from swarm.files import write_text
 from swarm.flight.result import FlightResult
@@ -33,6 +34,39 @@ RTCM = click.option(
     help="Send corrections (RTCM 3) to the vehicles' receivers: ntrip://[USER:PASSWORD@]HOST[:PORT]"
     "/MOUNTPOINT (ntrips: with TLS), serial://DEVICE[:BAUD], udp://HOST:PORT, or file:PATH.",
 )
+
+
+CONSOLE = click.option(
+    "--console",
+    is_flag=False,
+    flag_value=DEFAULT,
+    metavar="[ADDRESS:PORT]",
+    type=Address(parse_address),
+    help="Serve a page with the flight, live, and its buttons: on this machine alone "
+    f"({DEFAULT}), or on another address, with TLS. The address that is printed has the token.",
+)
+CONSOLE_CERTIFICATE = click.option(
+    "--console-certificate",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="With --console: PEM file with a certificate and its private key. Default: a self-signed "
+    "certificate, on addresses that other machines reach.",
+)
+
+
+@contextmanager
+def opened_console(
+    folder: Path, address: str | None, certificate: Path | None, console: Console
+) -> Iterator[None]:
+    """Open the console of a flight, if it has an address, and print where it is."""
+    if address is None:
+        yield
+        return
+    with open_console(folder, parse_address(address), certificate) as opened:
+        if console.quiet:
+            click.echo(opened.message, err=True)  # standard output is JSON alone
+        else:
+            console.print(opened.message, soft_wrap=True, highlight=False, markup=False)
+        yield
 
 
 @dataclass(frozen=True)

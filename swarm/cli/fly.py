@@ -14,7 +14,16 @@ from rich.console import Console
 
 from swarm.certification.certificate import without_cable
 from swarm.certification.findings import Finding
-from swarm.cli.flight_session import RTCM, Displays, Viewer, displays, end_flight
+from swarm.cli.flight_session import (
+    CONSOLE,
+    CONSOLE_CERTIFICATE,
+    RTCM,
+    Displays,
+    Viewer,
+    displays,
+    end_flight,
+    opened_console,
+)
 from swarm.cli.inputs import (
     JSON,
     REPLAN,
@@ -66,6 +75,8 @@ def resume_flight(
     *,
     view: Viewer | None,
     as_json: bool,
+    console_address: str | None,
+    certificate: Path | None,
 ) -> None:
     """Resume the flight of a record with ``options``, and exit with its code."""
     console = Console(quiet=as_json)
@@ -89,7 +100,11 @@ def resume_flight(
         replace(options, no_cable=not basis.cable, control=control_socket(folder), left=left),
     )
     prepare_flight()
-    with displays(plan, folder, view, console) as shown, shown.screen:
+    with (
+        displays(plan, folder, view, console) as shown,
+        opened_console(folder, console_address, certificate, console),
+        shown.screen,
+    ):
         result = fly_in_process(
             flight,
             FlightCallbacks(on_snapshot=shown.on_snapshot, on_event=shown.on_event),
@@ -111,6 +126,7 @@ _NEEDS = {
     "mocap": ("fleet",),
     "rtcm": ("fleet",),
     "clock": ("fleet",),
+    "console_certificate": ("console",),
 }
 """Options that go with others only."""
 _RAISED_FLIGHT = (
@@ -143,6 +159,8 @@ class Options:
     resume: Path | None
     then: Then
     unattended: Unattended
+    console: str | None
+    console_certificate: Path | None
 
     def refuse_with_resume(self) -> None:
         """Raise :class:`InputError` for options whose values come from the resumed record."""
@@ -247,6 +265,8 @@ class Options:
     help="What the team does when the last screen of the flight is gone: the terminal is closed, "
     "and no other one is attached. hold: all land together after the hold timeout.",
 )
+@CONSOLE
+@CONSOLE_CERTIFICATE
 @click.pass_context
 def fly(context: click.Context, /, **options: Any) -> None:
     """Plan MISSION (a mission or plan file, or the name of a knot), check the plan, and fly it.
@@ -280,6 +300,8 @@ def fly(context: click.Context, /, **options: Any) -> None:
             ),
             view=given.view,
             as_json=given.as_json,
+            console_address=given.console,
+            certificate=given.console_certificate,
         )
         return
     if given.mission is None:
@@ -339,7 +361,11 @@ def _fly(flight: FlightRequest, given: Options, console: Console) -> FlightResul
     plan_findings = flight.flight_plan.assessment.findings
     prepare_flight()
     warnings = [finding for finding in plan_findings if finding.severity == "warning"]
-    with displays(plan, flight.folder, given.view, console) as shown, ExitStack() as screen:
+    with (
+        displays(plan, flight.folder, given.view, console) as shown,
+        opened_console(flight.folder, given.console, given.console_certificate, console),
+        ExitStack() as screen,
+    ):
         return fly_in_process(
             flight,
             FlightCallbacks(

@@ -318,12 +318,13 @@ class Conductor:
         """End the flight in any stage; for shells that cannot go on."""
         finish(self.state, "failed", message)
 
-    def request(self, command: Request) -> str:
+    def request(self, command: Request, author: str = "") -> str:
         """Carry out an operator's command where it is possible; return its effect in words.
 
-        :attr:`Snapshot.available` has the present effect of every command.
+        The record names the ``author``. :attr:`Snapshot.available` has the present effect of every
+        command.
         """
-        return request(self.state, command)
+        return request(self.state, command, author)
 
     def available(self) -> Mapping[Request, Availability]:
         """Return, for every operator's command, whether it is possible now, and its effect."""

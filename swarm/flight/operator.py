@@ -28,10 +28,12 @@ class Availability(NamedTuple):
     words: str
 
 
-def request(flight: FlightState, command: Request) -> str:
-    """Carry out an operator's command where it is possible; return its effect in words."""
+def request(flight: FlightState, command: Request, author: str = "") -> str:
+    """Carry out a command of an operator, the ``author``, where it is possible; return its effect
+    in words."""
     answer = available(flight)[command]
-    flight.report("operator", f"{command}: {answer.words}")
+    by = f" by {author}" if author else ""
+    flight.report("operator", f"{command}{by}: {answer.words}")
     if answer.open:
         _ACTIONS[command](flight)
     return answer.words

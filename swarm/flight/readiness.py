@@ -13,7 +13,6 @@ import scipy
 
 from swarm.certification.findings import Finding, Severity
 from swarm.errors import Refused
-from swarm.mavlink.fence import FenceItem, polygon
 from swarm.mavlink.frames import (
     Frames,
     Origin,
@@ -43,12 +42,13 @@ def readiness(vehicles: Sequence[Vehicle], fleet: Fleet, now: float) -> list[Fin
     findings: list[Finding] = []
     for number, vehicle in enumerate(vehicles, 1):
         name = named(vehicle, number)
-        problems = list(_problems(vehicle, fleet, now))
+        problems = problems_of(vehicle, fleet, now)
         findings.extend(Finding("error", check, f"{name}: {text}") for check, text in problems)
     return findings
 
 
-def _problems(vehicle: Vehicle, fleet: Fleet, now: float) -> list[tuple[str, str]]:
+def problems_of(vehicle: Vehicle, fleet: Fleet, now: float) -> list[tuple[str, str]]:
+    """Return what prevents a vehicle from arming: checks, with the reasons in words."""
     if vehicle.heartbeat_at == -math.inf or vehicle.autopilot is None:
         return [("heard", "no heartbeat of a PX4 or ArduPilot")]
     if now - vehicle.received_at > fleet.limits.silence + 1.0:
@@ -92,42 +92,21 @@ def rough_frames(vehicles: Sequence[Vehicle], fleet: Fleet, pads: Floats) -> Fra
     others); they place the mission on the earth where the fleet file does not. Raises
     :class:`Refused` where a required origin is not known.
     """
+    place = fleet.origin
+    turned = -math.radians(place.heading) if place else 0.0
     if fleet.frame != "gps":
-        turned = -math.radians(fleet.origin.heading) if fleet.origin else 0.0
         return shared_frames(len(vehicles), turned)
-    mission, turned = _mission_place(vehicles, fleet, pads)
-    projections = [v.autopilot.name if v.autopilot else "px4" for v in vehicles]
-    origins = [vehicle.origin for vehicle in vehicles if vehicle.origin is not None]
-    return gps_frames(mission, turned, origins, projections)
-
-
-def _mission_place(vehicles: Sequence[Vehicle], fleet: Fleet, pads: Floats) -> tuple[Origin, float]:
-    """Return the place of the mission's (0, 0, 0) on the earth, and how far it is turned."""
     origins = [vehicle.origin for vehicle in vehicles if vehicle.origin is not None]
     if len(origins) < len(vehicles):
         without = ", ".join(str(v.system) for v in vehicles if v.origin is None)
         raise Refused(f"the estimators' origins are not known of systems {without}")
-    place = fleet.origin
+    projections = [v.autopilot.name if v.autopilot else "px4" for v in vehicles]
     if place is None:
-        return _fitted(vehicles, pads)
-    altitude = origins[0].altitude if place.altitude is None else place.altitude
-    return Origin(place.latitude, place.longitude, altitude), -math.radians(place.heading)
-
-
-def mission_fence(
-    flyers: Sequence[Vehicle], fleet: Fleet, standing: Floats, corners: Sequence[Sequence[float]]
-) -> tuple[FenceItem, ...]:
-    """Return a mission's fence for the vehicles' own fences.
-
-    ``flyers`` are in order along the cable, ``standing`` (n, 3) their planned places, ``corners``
-    x and y of the fence: all mission ENU, metres. Raises :class:`Refused` where the mission cannot
-    be placed on the earth.
-    """
-    listed = {vehicle.sysid for vehicle in fleet.vehicles if vehicle.pad is not None}
-    given = np.array([[vehicle.system in listed] for vehicle in flyers])
-    place, turned = _mission_place(flyers, fleet, np.where(given, standing, np.nan))
-    places = [from_mission(place, turned, np.array([x, y, 0.0])) for x, y in corners]
-    return polygon([(place.latitude, place.longitude) for place in places])
+        mission, turned = _fitted(vehicles, pads)
+    else:
+        altitude = origins[0].altitude if place.altitude is None else place.altitude
+        mission = Origin(place.latitude, place.longitude, altitude)
+    return gps_frames(mission, turned, origins, projections)
 
 
 def levelled(frames: Frames, fleet: Fleet, standing: Floats, measured: Floats) -> Frames:

@@ -5,8 +5,10 @@ from typing import Final
 
 import numpy as np
 
+from swarm.flight.modes.execute import airborne, at_rest, releasing
+from swarm.flight.modes.rejoin import outside
 from swarm.flight.operator import available
-from swarm.flight.readiness import readiness
+from swarm.flight.readiness import problems_of, readiness
 from swarm.flight.result import Statistics
 from swarm.flight.snapshot import Snapshot
 from swarm.flight.stages import Stage, Step
@@ -73,6 +75,56 @@ def _of(flight: FlightState, condition: Callable[[Vehicle], bool]) -> str:
     return f"vehicle{'s' if len(which) > 1 else ''} {numbers(which)}" if which else ""
 
 
+def missing(flight: FlightState) -> tuple[int, ...]:
+    """Return the numbers, from 1, of the vehicles that the mission clock waits for."""
+    vehicles, gate = flight.roster.vehicles, flight.gate
+    armed = np.array([vehicle.armed for vehicle in vehicles])
+    lacking = np.zeros(len(vehicles), dtype=np.bool_)
+    if flight.stage is Stage.PREPARE:
+        lacking = np.array([bool(text) for text in problems(flight)])
+    elif flight.contingency is not None and flight.contingency.step is Step.DESCEND:
+        lacking = armed
+    elif flight.stage is Stage.EXECUTE and flight.progress.waiting and gate is not None:
+        gripped = np.array([vehicle.gripped for vehicle in vehicles])
+        concerned = {vehicle.system for vehicle in releasing(flight)}
+        inner = np.array([vehicle.system in concerned for vehicle in vehicles])
+        lacking = {
+            "armed": ~(armed & flight.streams.active),
+            "airborne": ~airborne(flight),
+            "gripped": ~gripped,
+            "settled": ~at_rest(flight),
+            "released": gripped & inner,
+            "landed": armed,
+        }[gate.condition]
+    return tuple((np.flatnonzero(lacking) + 1).tolist())
+
+
+def problems(flight: FlightState) -> tuple[str, ...]:
+    """Return why each vehicle is not ready, or does not follow the plan; "" where nothing is wrong.
+
+    What the other values of a snapshot say, as its tracking error, is not repeated.
+    """
+    vehicles = flight.roster.vehicles
+    if flight.stage in {Stage.PREPARE, Stage.READY}:
+        return tuple(
+            "; ".join(text for _, text in problems_of(vehicle, flight.setup.fleet, flight.now))
+            for vehicle in vehicles
+        )
+    if flight.stage is not Stage.EXECUTE:
+        return ("",) * len(vehicles)
+    gate, waiting = flight.gate, flight.progress.waiting
+    by_themselves = waiting and gate is not None and gate.condition in {"armed", "landed"}
+    away = [] if by_themselves else outside(flight)
+    return tuple(
+        "has fallen, and is given up"
+        if k in flight.streams.fallen
+        else "gets no setpoints"
+        if k in away
+        else ""
+        for k in range(len(vehicles))
+    )
+
+
 def held(flight: FlightState) -> str | None:
     """Return why the team holds; None where it does not, or has left the plan."""
     return flight.holds.message if flight.stage is Stage.EXECUTE else None
@@ -102,6 +154,38 @@ def remaining(flight: FlightState) -> float | None:
         return None
     time = flight.clock.time
     return flight.setup.plan.duration - time + flight.stream_loss.delay_after(time)
+
+
+def landing(flight: FlightState) -> float | None:
+    """Return the seconds in which all are expected to have landed as planned.
+
+    With waits at the gates to come, as :attr:`Plan.expected_waits`, and a clock that slows before
+    the fold ends. None outside the plan, and in a hold, which may last for any time.
+    """
+    left, time, plan = remaining(flight), flight.clock.time, flight.setup.plan
+    if left is None or flight.holds.causes or flight.progress.rewinding:
+        return None
+    waits = [plan.expected_wait(gate) for gate in flight.setup.gates[flight.progress.gate :]]
+    if flight.progress.waiting and waits:
+        waits[0] = max(waits[0] - (flight.now - flight.progress.gate_since), 0.0)
+    folds = any(phase.name == "fold" and time < phase.end for phase in plan.phases)
+    return left + sum(waits) + (plan.expected_slowing if folds else 0.0)
+
+
+def windows(flight: FlightState) -> dict[str, float | None]:
+    """Return the mission time until all can land together, and release the cable: 0 now, None not
+    in the rest of the plan; none of both outside the plan."""
+    found: dict[str, float | None] = {}
+    if flight.stage is not Stage.EXECUTE or flight.contingency is not None:
+        return found
+    time, of = flight.clock.time, flight.setup.windows
+    now = {"land": of.can_land(time), "release": of.can_release(time)}
+    for name, flags in (("land", of.land), ("release", of.release)):
+        later = of.time[flags & (of.time > time)]
+        found[name] = 0.0 if now[name] else float(later[0] - time) if len(later) else None
+    if not flight.attached:
+        found.pop("release")
+    return found
 
 
 TRACE_INTERVAL = 0.1
@@ -154,6 +238,14 @@ def snapshot_of(flight: FlightState, now: float) -> Snapshot:
         remaining=remaining(flight),
         stray=swing.stray if swing else None,
         cable=swing.states[1] if swing else None,
+        problems=problems(flight),
+        missing=missing(flight),
+        voltage=np.array([vehicle.voltage for vehicle in vehicles]),
+        fix=np.array([float(vehicle.fix_type) for vehicle in vehicles]),
+        satellites=np.array([float(vehicle.satellites) for vehicle in vehicles]),
+        position_age=np.array([now - vehicle.position_at for vehicle in vehicles]),
+        landing=landing(flight),
+        windows=windows(flight),
     )
 
 

@@ -29,6 +29,15 @@ class Snapshot:
     without waiting; None where they do not apply. ``stray`` (n − 1,) is how far each strand is
     estimated from its catenary, in metres, and ``cable`` (n − 1, k, 3) are points of the strands;
     None while no cable is aloft.
+
+    ``problems`` says of each vehicle why it is not ready, or does not follow the plan, "" where
+    nothing is wrong; ``missing`` are the numbers (from 1) of the vehicles that the clock waits for.
+    ``voltage`` (n,) is in volts, ``fix`` (n,) GPS_FIX_TYPE and ``satellites`` (n,) what the
+    receivers report (-1: nothing), ``position_age`` (n,) seconds since a vehicle's last position;
+    empty where they are not reported. ``landing`` is the expected time until all have landed as
+    planned, in seconds, with waits at gates and a slower clock; None where it is not known.
+    ``windows`` says in how many seconds of mission time all can "land" together, or "release" the
+    cable: 0 now, None not any more.
     """
 
     time: float
@@ -55,6 +64,14 @@ class Snapshot:
     remaining: float | None = None
     stray: Floats | None = None
     cable: Floats | None = None
+    problems: tuple[str, ...] = ()
+    missing: tuple[int, ...] = ()
+    voltage: Floats = field(default_factory=lambda: np.zeros(0))
+    fix: Floats = field(default_factory=lambda: np.zeros(0))
+    satellites: Floats = field(default_factory=lambda: np.zeros(0))
+    position_age: Floats = field(default_factory=lambda: np.zeros(0))
+    landing: float | None = None
+    windows: Mapping[str, float | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

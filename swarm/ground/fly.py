@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -30,7 +31,13 @@ from swarm.ground.emulator import EmulatorProcess, RealFirmware
 from swarm.ground.forward import open_forward
 from swarm.ground.loop import Feed, Loop
 from swarm.ground.mocap import ANYWHERE, DatagramCapture, MocapBridge, open_capture
-from swarm.ground.operator import ControlSocket, OperatorConsole, terminal_keys
+from swarm.ground.operator import (
+    CLIENT,
+    TERMINAL,
+    ControlSocket,
+    OperatorConsole,
+    terminal_keys,
+)
 from swarm.ground.preflight import Preflight
 from swarm.ground.record import Record
 from swarm.ground.record_reader import recorded_flight
@@ -134,13 +141,15 @@ def fly(
                 [Problem(str(folder), f"the record cannot be written: {record.problem}")]
             )
 
-        def console() -> OperatorConsole:
-            return OperatorConsole(conductor, conductor.available)
+        def console(author: str = TERMINAL) -> OperatorConsole:
+            return OperatorConsole(conductor, conductor.available, author)
 
         preflight = Preflight(conductor, folder, callbacks.confirm)
         with ExitStack() as running:
             running.enter_context(sealed())
-            control = running.enter_context(_open_control(options.control, console))
+            control = running.enter_context(
+                _open_control(options.control, partial(console, CLIENT))
+            )
             publish = running.enter_context(publisher(callbacks))
             running.enter_context(_caught_interrupts(caller.interrupts))
             inputs = [caller.key_reader(console())]

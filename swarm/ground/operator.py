@@ -3,9 +3,15 @@
 The control socket is a Unix socket that only its owner may open. Each line is one request; the
 answer is one line: the effect, or the reason why the request is not possible. ``status`` lists the
 effect of every request at this moment. ``kill`` must be repeated as ``kill NUMBER``, with the
-number in the answer to ``kill``; after the key for it, the number must be typed. ``key X`` is a
-typed key. ``snapshot`` returns the team's state as JSON. After ``watch`` the client is a screen of
-the flight: it gets the events so far, then every snapshot and event, each as a line of JSON.
+number in the answer to ``kill``; after the key for it, the number must be typed. ``kill cancel``
+makes that number invalid. ``key X`` is a typed key. ``snapshot`` returns the team's state as JSON.
+After ``watch`` the client is a screen of the flight: it gets the events so far, then every snapshot
+and event, each as a line of JSON.
+
+Three lines have no answer. ``name TEXT`` says who makes the requests that follow: the record names
+the author of each. ``note TEXT`` adds an event to the record. After ``screens N`` the client gets
+what a screen gets, and counts as one if N is not 0: for the console, a process that passes the
+flight on to any number of browsers, or none.
 """
 
 import os
@@ -22,7 +28,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from swarm.errors import VehicleError
+from swarm.errors import VehicleError, printable
 from swarm.flight.operator import REQUESTS, Request
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.screen_lines import screen_line
@@ -41,8 +47,17 @@ KEYS: Mapping[str, Request] = {
 KILL_KEY = "k"
 """The key that asks for the number with which kill is confirmed: no single key stops motors."""
 _DIGITS = 4
-_MAX_LINE = 200
+_MAX_LINE = 400
+"""Bytes of a request: of notes that name three people."""
 _MAX_CLIENTS = 8
+_CANCEL = "cancel"
+CONFIRMATION = "to stop all motors in the air, type: kill "
+"""The answer to kill, without the number."""
+CANCELLED = "kill: cancelled; nothing was stopped"
+TERMINAL = "terminal"
+"""The author of what comes from the terminal that began the flight."""
+CLIENT = "client of the control socket"
+"""The author of what comes from a client that does not say who it is."""
 _MOST_WAITING = 20
 """Lines that wait for a slow screen before it misses snapshots: those of two seconds."""
 
@@ -50,8 +65,8 @@ _MOST_WAITING = 20
 class RequestHandler(Protocol):
     """An object that handles operator requests: the conductor."""
 
-    def request(self, request: Request) -> str:
-        """Handle a request; return its effect."""
+    def request(self, request: Request, author: str) -> str:
+        """Handle a request of an author; return its effect."""
 
     def report(self, kind: str, message: str) -> None:
         """Add an event to the record, which the operator sees."""
@@ -68,10 +83,13 @@ class OperatorConsole:
     """Converts keys and lines to operator requests; kill must be confirmed with a number."""
 
     def __init__(
-        self, flight: RequestHandler, status: Callable[[], Mapping[Request, tuple[bool, str]]]
+        self,
+        flight: RequestHandler,
+        status: Callable[[], Mapping[Request, tuple[bool, str]]],
+        author: str = TERMINAL,
     ) -> None:
         """``status`` returns for every request whether it is possible, and its effect."""
-        self._flight, self._status = flight, status
+        self._flight, self._status, self.author = flight, status, author
         self._number: str | None = None
         self._typed: str | None = None
 
@@ -89,21 +107,26 @@ class OperatorConsole:
             return self.key(rest.strip()[:1] or " ") or "no request has this key"
         for request in REQUESTS:
             if word == request:
-                return self._flight.request(request)
+                return self._flight.request(request, self.author)
         return f"expected one of status, {', '.join(REQUESTS)}; got {word[:40]!r}"
 
     def key(self, key: str) -> str | None:
         """Handle one key; return the answer, None for a key without a request."""
         if self._typed is not None and key.isdigit():
             return self._digit(key)
-        self._typed = None
+        if self._typed is not None:
+            self._cancel()
         if key == KILL_KEY:
             self._typed = ""
             words = f"to stop all motors in the air, type {self._new_number()}; other keys cancel"
             self._flight.report("operator", words)
             return words
         request = KEYS.get(key)
-        return None if request is None else self._flight.request(request)
+        return None if request is None else self._flight.request(request, self.author)
+
+    def note(self, text: str) -> None:
+        """Add an event to the record, with its author."""
+        self._flight.report("operator", text)
 
     def _digit(self, digit: str) -> str | None:
         """Handle a digit of the number that confirms kill."""
@@ -121,8 +144,16 @@ class OperatorConsole:
     def _kill(self, number: str) -> str:
         if self._number is not None and number == self._number:
             self._number = None
-            return self._flight.request("kill")
-        return f"to stop all motors in the air, type: kill {self._new_number()}"
+            return self._flight.request("kill", self.author)
+        if number == _CANCEL:
+            return self._cancel()
+        return f"{CONFIRMATION}{self._new_number()}"
+
+    def _cancel(self) -> str:
+        """Make the number invalid; the operator sees that nothing was stopped."""
+        self._number = self._typed = None
+        self._flight.report("operator", CANCELLED)
+        return CANCELLED
 
     def _new_number(self) -> str:
         """Return a new number for the confirmation; numbers before it are no longer valid."""
@@ -132,10 +163,14 @@ class OperatorConsole:
 
 @dataclass(eq=False)
 class _Client:
-    """A client of the control socket; ``lines`` wait to be sent where it watches the flight."""
+    """A client of the control socket; ``lines`` wait to be sent.
+
+    ``follows`` says whether it gets snapshots and events, ``watches`` whether it is a screen.
+    """
 
     console: OperatorConsole
     received: bytes = b""
+    follows: bool = False
     watches: bool = False
     lines: deque[bytes] = field(default_factory=deque)
 
@@ -172,7 +207,7 @@ class ControlSocket:
 
     def publish(self, item: Snapshot | Event) -> None:
         """Queue a snapshot or an event for the screens; a slow one misses snapshots, not events."""
-        watching = [client for client in self._clients.values() if client.watches]
+        watching = [client for client in self._clients.values() if client.follows]
         if isinstance(item, Event):
             self._events.append(screen_line(item))
         else:
@@ -207,16 +242,31 @@ class ControlSocket:
         """Answer complete lines; return whether the client may stay."""
         *lines, client.received = (client.received + data).split(b"\n")
         for line in lines:
-            text = line.decode("utf-8", "replace")
-            if text.strip() not in {"watch", "snapshot"}:
+            text = line.decode("utf-8", "replace").strip()
+            word, _, rest = text.partition(" ")
+            if word == "name":
+                client.console.author = printable(rest)
+            elif word == "note":
+                client.console.note(printable(rest))
+            elif text == "watch" or word == "screens":
+                client.watches = rest != "0"
+                self._follow(client)
+            elif text == "snapshot":
+                self._show_latest(client)
+            else:
                 client.lines.append(client.console.line(text).encode() + b"\n")
-                continue
-            if text.strip() == "watch":
-                client.watches = True
-                client.lines.extend(self._events)
-            if self._snapshot is not None:
-                client.lines.append(screen_line(self._snapshot))
         return len(client.received) <= _MAX_LINE
+
+    def _follow(self, client: _Client) -> None:
+        """Begin to send what a screen gets, with the events so far."""
+        if not client.follows:
+            client.follows = True
+            client.lines.extend(self._events)
+            self._show_latest(client)
+
+    def _show_latest(self, client: _Client) -> None:
+        if self._snapshot is not None:
+            client.lines.append(screen_line(self._snapshot))
 
     def _send(self, connection: socket.socket, client: _Client) -> None:
         """Send what waits, as far as the client reads."""

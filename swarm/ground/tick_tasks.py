@@ -15,7 +15,7 @@ from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.tlog import ClockEncoder
 from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.loop import Feed
-from swarm.ground.operator import ControlSocket, OperatorConsole
+from swarm.ground.operator import TERMINAL, ControlSocket, OperatorConsole
 from swarm.ground.preflight import Preflight
 from swarm.ground.record import Record
 
@@ -87,7 +87,7 @@ class TickTasks:
         conductor = self.conductor
         while self.caller.interrupts:
             self.caller.interrupts.pop()
-            conductor.request("interrupt")
+            conductor.request("interrupt", TERMINAL)
         for poll in self.inputs:
             poll()
         if self.control is not None:
@@ -121,7 +121,7 @@ class TickTasks:
         )
         if conductor.available()[command].open:
             self._due = False
-            conductor.request(command)
+            conductor.request(command, "the absence of screens")
 
     def _show(self, item: Snapshot | Event) -> None:
         self.publish(item)

@@ -138,12 +138,14 @@ class Plan:
 
         Those of emulated vehicles; a cable that is tied on needs no time for its grips.
         """
-        attached = self.mission.grab == "attached"
-        return sum(
-            _WAITS[gate.condition][0] + self.vehicles * _WAITS[gate.condition][1]
-            for gate in self.gates
-            if not (attached and gate.condition in {"gripped", "released"})
-        )
+        return sum(map(self.expected_wait, self.gates))
+
+    def expected_wait(self, gate: Gate) -> float:
+        """Return the seconds for which an undisturbed flight waits at a gate."""
+        if self.mission.grab == "attached" and gate.condition in {"gripped", "released"}:
+            return 0.0
+        alone, each = _WAITS[gate.condition]
+        return alone + self.vehicles * each
 
     @property
     def expected_slowing(self) -> float:

@@ -38,13 +38,15 @@ def assert_same(read, wanted):
 class Flight:
     def __init__(self):
         self.requests = []
+        self.authors = []
         self.reports = []
 
     def report(self, kind, message):
         self.reports.append((kind, message))
 
-    def request(self, request):
+    def request(self, request, author):
         self.requests.append(request)
+        self.authors.append(author)
         return f"{request} it is"
 
 
@@ -108,6 +110,7 @@ def test_a_wrong_number_and_another_key_cancel_kill(flight, console):
         console.key(digit)
     number = console.key("k").removeprefix("to stop all motors in the air, type ")[:4]
     console.key("h")
+    assert flight.reports[-1] == ("operator", "kill: cancelled; nothing was stopped")
     for digit in number:
         console.key(digit)
     assert flight.requests == ["hold"]
@@ -217,6 +220,42 @@ def test_the_number_that_confirms_kill_belongs_to_its_client(flight, tmp_path):
         assert lines_for(control, asking, 1) == ["kill it is"]
     control.close()
     assert flight.requests == ["kill"]
+
+
+def test_the_record_names_who_made_a_request(flight, tmp_path):
+    path = tmp_path / "control"
+    control = ControlSocket(path, lambda: OperatorConsole(flight, dict))
+    with connected(control, path) as client:
+        client.send(b"hold\nname Anna\x1b (console 1)\nhold\nkey r\nnote she looks away\n")
+        assert lines_for(control, client, 3) == ["hold it is", "hold it is", "resume it is"]
+        for _ in range(3):
+            control.poll()
+    control.close()
+    assert flight.authors == ["terminal", "Anna\ufffd (console 1)", "Anna\ufffd (console 1)"]
+    assert flight.reports == [("operator", "she looks away")]
+
+
+def test_the_number_that_confirms_kill_can_be_cancelled(flight, console):
+    number = console.line("kill").split()[-1]
+    assert console.line("kill cancel") == "kill: cancelled; nothing was stopped"
+    assert flight.reports == [("operator", "kill: cancelled; nothing was stopped")]
+    assert console.line(f"kill {number}").startswith("to stop all motors")
+    assert flight.requests == []
+
+
+def test_the_console_is_a_screen_while_somebody_looks_at_it(flight, tmp_path):
+    path = tmp_path / "control"
+    control = ControlSocket(path, lambda: OperatorConsole(flight, dict))
+    event = Event(1.0, "gate", "all are armed")
+    control.publish(event)
+    with connected(control, path) as client:
+        for line, watched in (("screens 0", False), ("screens 2", True), ("screens 0", False)):
+            client.send(f"{line}\nnothing\n".encode())
+            lines_for(control, client, 1)
+            assert control.watched == watched
+        control.publish(SNAPSHOT)
+        assert_same(lines_for(control, client, 1)[0], SNAPSHOT)
+    control.close()
 
 
 def test_a_screen_that_does_not_read_misses_snapshots_but_no_event(flight, tmp_path):

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from swarm.flight.ending import conclude, finish
 from swarm.flight.failures import OPERATOR, Failure, FailureKind
@@ -37,6 +38,8 @@ from swarm.flight.state import FlightState
 from swarm.flight.streams import expect_armed, start_stream, stop_streams_of_landing
 from swarm.mavlink.vehicle import Vehicle
 from swarm.planning import Condition
+
+Flags = npt.NDArray[np.bool_]
 
 STREAM_AFTER_TAKEOFF = 0.8
 """Share of the take-off height from which a vehicle that takes off by itself gets setpoints."""
@@ -115,9 +118,15 @@ def _taken_off(flight: FlightState) -> bool:
     return all_streamed
 
 
+def airborne(flight: FlightState) -> Flags:
+    """Return which vehicles (n,) are airborne."""
+    reported = [v.airborne or v.landed_state == 0 for v in flight.roster.vehicles]
+    both: Flags = (flight.observation.position[:, 2] > AIRBORNE_HEIGHT) & np.array(reported)
+    return both
+
+
 def _airborne(flight: FlightState) -> bool:
-    reported = all(v.airborne or v.landed_state == 0 for v in flight.roster.vehicles)
-    return reported and bool(np.all(flight.observation.position[:, 2] > AIRBORNE_HEIGHT))
+    return bool(airborne(flight).all())
 
 
 def _gripped(flight: FlightState) -> bool:
@@ -133,14 +142,14 @@ def _gripped(flight: FlightState) -> bool:
     return True
 
 
-def _releasing(flight: FlightState) -> Sequence[Vehicle]:
+def releasing(flight: FlightState) -> Sequence[Vehicle]:
     """Return the vehicles that release at this gate: all, or all but those at the cable's ends."""
     vehicles, gate = flight.roster.vehicles, flight.gate
     return vehicles[1:-1] if gate is not None and gate.inner else vehicles
 
 
 def _release(flight: FlightState) -> None:
-    for vehicle in _releasing(flight):
+    for vehicle in releasing(flight):
         if flight.setup.commands_grippers:
             vehicle.grip(closed=False)
         else:
@@ -148,14 +157,19 @@ def _release(flight: FlightState) -> None:
 
 
 def _released(flight: FlightState) -> bool:
-    return not any(vehicle.gripped for vehicle in _releasing(flight))
+    return not any(vehicle.gripped for vehicle in releasing(flight))
+
+
+def at_rest(flight: FlightState) -> Flags:
+    """Return which vehicles (n,) are at rest at their setpoints."""
+    seen = flight.observation
+    near: Flags = seen.error <= max(flight.allowed_error, 1e-9)
+    slow: Flags = np.linalg.norm(seen.velocity, axis=1) <= SETTLED_SPEED
+    return near & slow
 
 
 def _settled(flight: FlightState) -> bool:
-    seen = flight.observation
-    near = seen.error <= max(flight.allowed_error, 1e-9)
-    slow = np.linalg.norm(seen.velocity, axis=1) <= SETTLED_SPEED
-    if not bool(np.all(near & slow)):
+    if not at_rest(flight).all():
         not_settled(flight)
     if flight.now - flight.progress.settled_since < SETTLED_FOR:
         return False

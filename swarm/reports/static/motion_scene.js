@@ -3,10 +3,11 @@
 "use strict";
 
 const ALARM = [0.75, 0.19, 0.19];
-const INK = [0.19, 0.22, 0.28];
-const ROTOR = [0.45, 0.5, 0.58];
-const FAINT = [0.78, 0.8, 0.84];
-const PAPER = [0.957, 0.965, 0.976];
+// Colours of a light page; the console replaces them in a dark scheme.
+let INK = [0.19, 0.22, 0.28];
+let ROTOR = [0.45, 0.5, 0.58];
+let FAINT = [0.78, 0.8, 0.84];
+let PAPER = [0.957, 0.965, 0.976];
 const THINNEST = 0.0024; // radius of drawn cable over camera distance: two pixels on a telephone
 const SIDES = 6; // of the tube that is a strand
 const BETWEEN = 4; // drawn pieces between two samples of a strand

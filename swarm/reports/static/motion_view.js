@@ -1,69 +1,7 @@
-// A motion to turn, to scrub and to play: WebGL 1, without a library. The shapes are those of
-// motion_scene.js, which the page has before this file.
+// A motion to turn, to scrub and to play: the page has motion_scene.js and motion_camera.js
+// before this file.
 
 const REDUCED = matchMedia("(prefers-reduced-motion: reduce)");
-const FIELD_OF_VIEW = 0.6; // radians; a long lens, so that near strands do not look much thicker
-
-const VERTEX = `attribute vec3 place, normal, colour; uniform mat4 view; uniform vec3 light;
-varying vec3 shade; void main() { gl_Position = view * vec4(place, 1.0);
-  shade = colour * (0.62 + 0.38 * abs(dot(normal, light))); }`;
-const FRAGMENT = `precision mediump float; varying vec3 shade;
-void main() { gl_FragColor = vec4(shade, 1.0); }`;
-
-function painter(canvas) {
-  // The buffer is kept, so that the picture can be saved by the browser's menu.
-  const gl = canvas.getContext("webgl", { antialias: true, preserveDrawingBuffer: true });
-  if (!gl) return null;
-  const program = gl.createProgram();
-  for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
-    const shader = gl.createShader(kind);
-    gl.shaderSource(shader, source);
-    gl.compileShader(shader);
-    gl.attachShader(program, shader);
-  }
-  gl.linkProgram(program);
-  gl.useProgram(program);
-  gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-  ["place", "normal", "colour"].forEach((name, k) => {
-    const at = gl.getAttribLocation(program, name);
-    gl.enableVertexAttribArray(at);
-    gl.vertexAttribPointer(at, 3, gl.FLOAT, false, 36, 12 * k);
-  });
-  gl.enable(gl.DEPTH_TEST);
-  gl.clearColor(...PAPER, 1);
-  return (matrix, light, lines, triangles) => {
-    gl.viewport(0, 0, canvas.width, canvas.height);
-    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    gl.uniformMatrix4fv(gl.getUniformLocation(program, "view"), false, matrix);
-    gl.uniform3fv(gl.getUniformLocation(program, "light"), light);
-    for (const [kind, corners] of [[gl.LINES, lines], [gl.TRIANGLES, triangles]]) {
-      gl.bufferData(gl.ARRAY_BUFFER, corners, gl.STREAM_DRAW);
-      gl.drawArrays(kind, 0, corners.length / 9);
-    }
-  };
-}
-
-// Returns the eye, and the matrix of the camera: perspective times view, column by column.
-function camera(target, yaw, pitch, distance, aspect) {
-  const back = [Math.cos(pitch) * Math.sin(yaw), -Math.cos(pitch) * Math.cos(yaw), Math.sin(pitch)];
-  const right = [Math.cos(yaw), Math.sin(yaw), 0];
-  const up = cross(back, right);
-  const eye = add(target, back, distance);
-  const f = 1 / Math.tan(FIELD_OF_VIEW / 2), near = 0.05 * distance, far = 20 * distance;
-  const depth = (far + near) / (near - far);
-  const rows = [[...right, -dot(right, eye)], [...up, -dot(up, eye)], [...back, -dot(back, eye)]];
-  const matrix = [0, 1, 2, 3].flatMap((k) => [
-    (f / aspect) * rows[0][k], f * rows[1][k],
-    depth * rows[2][k] + (k === 3 ? (2 * far * near) / (near - far) : 0), -rows[2][k],
-  ]);
-  return { eye, back, matrix: new Float32Array(matrix) };
-}
-
-function onCanvas(matrix, p, canvas) {
-  const [x, y, , w] = [0, 1, 2, 3].map((row) =>
-    matrix[row] * p[0] + matrix[4 + row] * p[1] + matrix[8 + row] * p[2] + matrix[12 + row]);
-  return w <= 0 ? null : [(0.5 + x / w / 2) * canvas.width, (0.5 - y / w / 2) * canvas.height];
-}
 
 function motionView(section) {
   const find = (name) => section.querySelector(name);

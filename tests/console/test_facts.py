@@ -1,0 +1,150 @@
+"""What the console shows of a team, from the snapshots that the terminal shows too."""
+
+import json
+
+import numpy as np
+import pytest
+
+from swarm.certification.monitor import Clearances
+from swarm.console.facts import Rates, event_facts, plan_facts, state_facts
+from swarm.flight.snapshot import Event
+from swarm.mission.fleet import emulated_fleet
+from tests.console.flight import snapshot
+from tests.network import Network, small_plan
+
+PLAN = small_plan().plan
+
+
+def facts(**changed):
+    shown = snapshot(10.0, **changed)
+    found = state_facts(PLAN, shown, Rates.first(shown))
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    return found
+
+
+def test_a_team_that_follows_is_good():
+    found = facts()
+    assert [(row["number"], row["level"], row["why"]) for row in found["rows"]] == [
+        (1, "good", ""), (2, "good", ""), (3, "good", ""),
+    ]  # fmt: skip
+    assert found["wait"] is None
+    assert found["windows"] == [
+        {"words": "land now", "level": "good"}, {"words": "release in 4 s", "level": "idle"},
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changed", "level", "why"),
+    [
+        ({"link_age": [0.05, 1.5, 0.05]}, "warn", "no packet for 1.5 s"),
+        ({"link_age": [0.05, 4.0, 0.05]}, "bad", "no packet for 4.0 s"),
+        ({"link_age": [0.05, np.inf, 0.05]}, "bad", "never received"),
+        ({"battery": [0.9, 0.25, 0.9]}, "warn", "battery 25%"),
+        ({"battery": [0.9, 0.1, 0.9]}, "bad", "battery 10%"),
+        ({"problems": ("", "gets no setpoints", "")}, "bad", "gets no setpoints"),
+        (
+            {"problems": ("", "no attitude", ""), "phase": "prepare", "armed": (False,) * 3},
+            "warn",
+            "no attitude",
+        ),
+    ],
+)
+def test_what_is_wrong_is_said_in_words(changed, level, why):
+    arrays = {k: np.array(v) if isinstance(v, list) else v for k, v in changed.items()}
+    row = facts(**arrays)["rows"][1]
+    assert (row["level"], row["why"]) == (level, why)
+
+
+@pytest.mark.parametrize(("off", "level"), [(0.07, "warn"), (0.2, "bad")])
+def test_a_tracking_error_stands_beside_what_is_certified(off, level):
+    setpoint = snapshot(0.0).position.copy()
+    setpoint[2, 0] += off
+    row = facts(setpoint=setpoint)["rows"][2]
+    assert (row["level"], row["why"]) == (
+        level, f"{off:.2f} m from its setpoint, 0.10 m allowed",
+    )  # fmt: skip
+
+
+def test_the_closest_pair_of_each_kind_stands_beside_its_limit():
+    close = snapshot(0.0).position.copy()
+    close[1] = close[0] + [0.9, 0.0, 0.0]
+    seen = Clearances(np.inf, 0.9, 0.8, -0.1, "vehicle clearance")
+    margins = facts(position=close, clearances=seen)["margins"]
+    assert margins[0] == {
+        "between": "vehicles 1 and 2", "distance": "0.90 m", "limit": "at least 1.00 m",
+        "level": "bad",
+    }  # fmt: skip
+    assert [one["between"] for one in margins[1:]] == [
+        "vehicle 1 and segment 2", "smallest margin (vehicle clearance)", "tautest segment",
+    ]  # fmt: skip
+
+
+def test_unknown_positions_are_left_out():
+    unknown = np.full((3, 3), np.nan)
+    found = facts(position=unknown, setpoint=unknown, gripped=(False,) * 3, fix=np.zeros(0))
+    assert found["margins"] == []
+    assert found["rows"][0]["height"] is None
+    assert found["rows"][0]["place"] == [None, None, None]
+    assert found["rows"][0]["fix"] == "position 0.1 s old"
+
+
+def test_what_the_clock_waits_for_names_who_is_missing():
+    found = facts(waiting_for="all vehicles to arm", missing=(2,), time_left=4.0)
+    assert found["wait"] == {
+        "words": "waiting for all vehicles to arm", "missing": [2], "left": 4.0, "then": "left",
+    }  # fmt: skip
+    held = facts(held="wind", time_left=3.0)["wait"]
+    assert (held["words"], held["then"]) == ("hold: wind", "then all land together")
+
+
+def test_rates_count_packets_over_two_seconds():
+    first = snapshot(10.0)
+    rates = Rates.first(first)
+    assert rates.counted(snapshot(11.0)) is rates
+    assert rates.counted(snapshot(12.0)).rate == pytest.approx([50.0] * 3)
+
+
+def test_north_is_where_the_fleet_says():
+    fleet = emulated_fleet(3)
+    assert plan_facts(PLAN, fleet)["north"] == pytest.approx(np.pi / 2)
+    assert (
+        plan_facts(PLAN, fleet.model_copy(update={"emulated": None, "origin": None}))["north"]
+        is None
+    )
+    json.dumps(plan_facts(PLAN, None), allow_nan=False)
+
+
+def test_routine_events_are_left_out_as_on_the_terminal():
+    assert event_facts(Event(1.0, "mode", "offboard", 2)) is None
+    assert event_facts(Event(1.0, "text", "EKF3 active", 2)) is None
+    shown = event_facts(Event(1.0, "failure", "silent", 2))
+    assert (shown["words"], shown["level"]) == ("vehicle 2: silent", "bad")
+
+
+def test_a_flight_says_who_is_missing_when_all_have_landed_and_which_windows_are_open():
+    """In virtual time: preparation, a gate, the fold, a hold."""
+    flight = Network(small_plan())
+    flight.once()
+    seen = flight.conductor.snapshot(flight.now)
+    assert seen.missing == (1, 2, 3)
+    assert seen.problems[0] == "no heartbeat of a PX4 or ArduPilot"
+    assert seen.landing is None
+    flight.run(
+        lambda: flight.conductor.waiting and flight.conductor.state.gate.condition == "gripped"
+    )
+    flight.until_time(0.8)
+    seen = flight.conductor.snapshot(flight.now)
+    assert 0 < len(seen.missing) < 3
+    assert all(not seen.gripped[number - 1] for number in seen.missing)
+    flight.until_phase("fold", after=1.0)
+    seen, at = flight.conductor.snapshot(flight.now), flight.now
+    assert (seen.missing, seen.problems) == ((), ("", "", ""))
+    assert seen.windows["release"] == 0.0
+    assert seen.fix.tolist() == [6.0] * 3
+    flight.conductor.request("hold", "Anna (console 1)")
+    assert flight.conductor.snapshot(flight.now).landing is None
+    (words,) = [e.message for e in flight.conductor.events() if e.kind == "operator"]
+    assert words.startswith("hold by Anna (console 1): all stop along the path")
+    flight.conductor.request("resume")
+    flight.run()
+    assert flight.now - at == pytest.approx(seen.landing, abs=5.0)
