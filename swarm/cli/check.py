@@ -67,12 +67,14 @@ class Options:
     speed: float
     clock: Path | None
     rtcm: str | None
+    fence: bool
     yes: bool
 
     def require_others(self) -> None:
         """Raise :class:`InputError` for options that need a mission or others, without them."""
         given = {
             "--hop": self.with_hop,
+            "--fence": self.fence,
             "--sheet": self.sheet,
             "--set": self.overrides,
             "--replan": self.replan,
@@ -101,10 +103,16 @@ class Options:
 )
 @click.option("--fix", is_flag=True, help="Set wrong parameters, after a question.")
 @click.option(
+    "--fence",
+    is_flag=True,
+    help="Upload the mission's fence (workspace.fence) to every vehicle, read it back, and enable "
+    "it. --restore restores the fence that the vehicle had.",
+)
+@click.option(
     "--restore",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="FOLDER",
-    help="Restore the parameters that an earlier check or flight saved in FOLDER.",
+    help="Restore the parameters and fences that an earlier check or flight saved in FOLDER.",
 )
 @click.option(
     "--soak",
@@ -183,7 +191,7 @@ def check(context: click.Context, /, **options: Any) -> None:
         confirm_fix = _fix_question(console, progress, yes=given.yes) if given.fix else None
         report = check_fleet(
             fleet, folder, flight_plan,
-            CheckOptions(given.soak, confirm_fix, given.restore, progress, given.rtcm),
+            CheckOptions(given.soak, confirm_fix, given.restore, progress, given.rtcm, given.fence),
         )  # fmt: skip
     hop_result, measured = None, None
     if flight_plan is not None:
@@ -278,7 +286,7 @@ def _fetch_logs(given: Options, folder: Path) -> int:
     """Fetch every vehicle's newest log, print the paths, and return the exit code."""
     checks = (
         given.mission, given.fix, given.restore, given.soak, given.with_hop, given.sheet,
-        given.clock, given.rtcm,
+        given.clock, given.rtcm, given.fence,
     )  # fmt: skip
     if any(checks) or given.record:
         raise click.UsageError("--logs can be combined with --fleet and --json only")

@@ -13,6 +13,7 @@ import scipy
 
 from swarm.certification.findings import Finding, Severity
 from swarm.errors import Refused
+from swarm.mavlink.fence import FenceItem, polygon
 from swarm.mavlink.frames import (
     Frames,
     Origin,
@@ -92,21 +93,42 @@ def rough_frames(vehicles: Sequence[Vehicle], fleet: Fleet, pads: Floats) -> Fra
     others); they place the mission on the earth where the fleet file does not. Raises
     :class:`Refused` where a required origin is not known.
     """
-    place = fleet.origin
-    turned = -math.radians(place.heading) if place else 0.0
     if fleet.frame != "gps":
+        turned = -math.radians(fleet.origin.heading) if fleet.origin else 0.0
         return shared_frames(len(vehicles), turned)
+    mission, turned = _mission_place(vehicles, fleet, pads)
+    projections = [v.autopilot.name if v.autopilot else "px4" for v in vehicles]
+    origins = [vehicle.origin for vehicle in vehicles if vehicle.origin is not None]
+    return gps_frames(mission, turned, origins, projections)
+
+
+def _mission_place(vehicles: Sequence[Vehicle], fleet: Fleet, pads: Floats) -> tuple[Origin, float]:
+    """Return the place of the mission's (0, 0, 0) on the earth, and how far it is turned."""
     origins = [vehicle.origin for vehicle in vehicles if vehicle.origin is not None]
     if len(origins) < len(vehicles):
         without = ", ".join(str(v.system) for v in vehicles if v.origin is None)
         raise Refused(f"the estimators' origins are not known of systems {without}")
-    projections = [v.autopilot.name if v.autopilot else "px4" for v in vehicles]
+    place = fleet.origin
     if place is None:
-        mission, turned = _fitted(vehicles, pads)
-    else:
-        altitude = origins[0].altitude if place.altitude is None else place.altitude
-        mission = Origin(place.latitude, place.longitude, altitude)
-    return gps_frames(mission, turned, origins, projections)
+        return _fitted(vehicles, pads)
+    altitude = origins[0].altitude if place.altitude is None else place.altitude
+    return Origin(place.latitude, place.longitude, altitude), -math.radians(place.heading)
+
+
+def mission_fence(
+    flyers: Sequence[Vehicle], fleet: Fleet, standing: Floats, corners: Sequence[Sequence[float]]
+) -> tuple[FenceItem, ...]:
+    """Return a mission's fence for the vehicles' own fences.
+
+    ``flyers`` are in order along the cable, ``standing`` (n, 3) their planned places, ``corners``
+    x and y of the fence: all mission ENU, metres. Raises :class:`Refused` where the mission cannot
+    be placed on the earth.
+    """
+    listed = {vehicle.sysid for vehicle in fleet.vehicles if vehicle.pad is not None}
+    given = np.array([[vehicle.system in listed] for vehicle in flyers])
+    place, turned = _mission_place(flyers, fleet, np.where(given, standing, np.nan))
+    places = [from_mission(place, turned, np.array([x, y, 0.0])) for x, y in corners]
+    return polygon([(place.latitude, place.longitude) for place in places])
 
 
 def levelled(frames: Frames, fleet: Fleet, standing: Floats, measured: Floats) -> Frames:

@@ -15,7 +15,7 @@ from swarm.flight.clearance import Audit
 from swarm.flight.conductor import Conductor
 from swarm.flight.fleet_listener import position_quality
 from swarm.flight.parameters import plan_requirements, stream_loss_findings, stream_loss_model
-from swarm.ground.commissioning.audit import Auditor, save_parameters
+from swarm.ground.commissioning.audit import Auditor, save_parameters, wanted_fence
 from swarm.ground.relay import Relay
 
 
@@ -77,5 +77,8 @@ class Preflight:
         if fleet.frame == "gps":
             tracking = plan.mission.vehicles.tracking
             found += [position_quality(f"system {v.system}", v, fleet, tracking) for v in flyers]
+        wanted = wanted_fence(plan, flyers, fleet)
+        if wanted is not None:
+            found += [vehicle.fence_finding(wanted) for vehicle in audits]
         findings = (*audit.findings, *found, *loss_findings)
         return replace(audit, findings=findings, stream_loss=loss)

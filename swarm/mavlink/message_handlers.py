@@ -8,6 +8,7 @@ from pymavlink.dialects.v20 import common
 
 from swarm.errors import printable
 from swarm.mavlink.autopilots import flying_autopilot
+from swarm.mavlink.fence import Fence
 from swarm.mavlink.frames import Origin, to_local
 from swarm.mavlink.packets import CURRENT_MODE, PARAM_VALUE, Message
 from swarm.mavlink.telemetry_table import (
@@ -300,6 +301,12 @@ def _parameter(vehicle: VehicleState, message: Message, now: float) -> None:
         vehicle.parameters.receive(message, bytewise=bytewise, now=now)
 
 
+def _to_fence(
+    process: Callable[[Fence, Message], None],
+) -> Callable[[VehicleState, Message, float], None]:
+    return lambda vehicle, message, _: process(vehicle.fence, message)
+
+
 HANDLERS: Final[Mapping[int, Callable[[VehicleState, Message, float], None]]] = {
     int(common.MAVLINK_MSG_ID_HEARTBEAT): _heartbeat,
     CURRENT_MODE: _current_mode,
@@ -314,6 +321,13 @@ HANDLERS: Final[Mapping[int, Callable[[VehicleState, Message, float], None]]] = 
     int(common.MAVLINK_MSG_ID_COMMAND_ACK): _command_ack,
     int(common.MAVLINK_MSG_ID_TIMESYNC): _timesync,
     PARAM_VALUE: _parameter,
+    int(common.MAVLINK_MSG_ID_MISSION_COUNT): _to_fence(Fence.counted),
+    int(common.MAVLINK_MSG_ID_MISSION_REQUEST): _to_fence(Fence.requested),
+    int(common.MAVLINK_MSG_ID_MISSION_REQUEST_INT): lambda v, message, _: v.fence.requested(
+        message
+    ),
+    int(common.MAVLINK_MSG_ID_MISSION_ITEM_INT): _to_fence(Fence.item),
+    int(common.MAVLINK_MSG_ID_MISSION_ACK): _to_fence(Fence.acknowledged),
 }
 
 HANDLED_MESSAGES: Final = frozenset(HANDLERS)

@@ -88,7 +88,7 @@ class Vehicle(VehicleState):
     @property
     def busy(self) -> bool:
         """Whether there may be messages to send."""
-        return self.commands.busy or self.parameters.busy
+        return self.commands.busy or self.parameters.busy or self.fence.busy
 
     def tick(self, now: float) -> list[Message]:
         """Return the messages to send now."""
@@ -99,6 +99,8 @@ class Vehicle(VehicleState):
             messages += self.parameters.tick(
                 self.system, self.component, bytewise=self.autopilot.bytewise, now=now
             )
+        if self.fence.busy:
+            messages += self.fence.tick(self.system, self.component, now)
         for result in results:
             name = result.command.name
             if result.succeeded:

@@ -19,6 +19,7 @@ from pymavlink.dialects.v20 import common
 from swarm.errors import printable
 from swarm.mavlink.autopilots import MANUAL_MODES, Autopilot, Mode
 from swarm.mavlink.commands import CommandQueue
+from swarm.mavlink.fence import Fence
 from swarm.mavlink.frames import Origin
 from swarm.mavlink.packets import Message
 from swarm.mavlink.telemetry_table import (
@@ -293,7 +294,7 @@ class VehicleEvent:
 
 @dataclass
 class VehicleState:
-    """The latest reported state of one vehicle, its command queue and its parameters.
+    """The latest reported state of one vehicle, its command queue, its parameters and its fence.
 
     The vehicle is its autopilot: ``component`` is chosen by a HEARTBEAT of an autopilot.
 
@@ -346,6 +347,7 @@ class VehicleState:
 
     commands: CommandQueue = field(init=False)
     parameters: Parameters = field(default_factory=Parameters)
+    fence: Fence = field(default_factory=Fence)
     texts: list[tuple[float, int, str]] = field(default_factory=list)
     text_chunks: dict[int, TextChunks] = field(default_factory=dict)
     said_texts: dict[int, TextChunks] = field(default_factory=dict)

@@ -15,6 +15,7 @@ from swarm.ground.commissioning.audit import VehicleAudit, save_parameters
 from swarm.ground.commissioning.check import CheckOptions, check
 from swarm.ground.fly import FlyOptions, fly
 from swarm.ground.sockets import Links
+from swarm.mavlink.fence import polygon
 from swarm.mission.fleet import emulated_fleet, parse_fleet
 from tests.network import small_plan
 
@@ -27,8 +28,8 @@ def test_parameters_are_checked_set_and_restored(tmp_path):
     assert report.passed, [f.message for f in report.findings if f.severity == "error"]
     assert report.order == (1, 2, 3)
     assert [item.check for item in report.checklist()] == [
-        "fleet", "firmware", "ready", "health", "battery", "position", "parameters", "placement",
-        "origin", "clock", "hold", "link",
+        "fleet", "firmware", "ready", "health", "battery", "position", "parameters", "fence",
+        "placement", "origin", "clock", "hold", "link",
     ]  # fmt: skip
     assert all(item.go for item in report.checklist())
     messages = [f.message for f in report.findings]
@@ -165,3 +166,36 @@ def test_a_vehicle_whose_parameters_were_not_all_read_is_no_go(tmp_path):
     assert errors == [f"system 3: {words}"]
     save_parameters(tmp_path, [audit, replace(audit, system=4, unread="")])
     assert [file.name for file in (tmp_path / "parameters").iterdir()] == ["4.json"]
+
+
+FENCED = "workspace.fence=[[-30, -30], [30, -30], [30, 30], [-30, 30]]"
+
+
+def test_the_missions_fence_is_uploaded_and_the_one_before_restored(tmp_path):
+    fleet, plan = emulated_fleet(3, ("px4", "ardupilot")), small_plan(FENCED)
+    report = check(fleet, tmp_path / "first", plan)
+    has_none = "has no fence; swarm check MISSION --fence uploads the mission's"
+    assert fence_messages(report) == [f"system {k}: {has_none}" for k in (1, 2, 3)]
+    options = CheckOptions(fence=True, restore=tmp_path / "first")
+    report = check(fleet, tmp_path / "second", plan, options)
+    assert fence_messages(report) == [f"system {k}: has the mission's fence" for k in (1, 2, 3)]
+    assert "system 1: fence of 4 items uploaded" in report.parameters_set
+    assert "system 2: FENCE_ENABLE 0 → 1" in report.parameters_set
+    assert json.loads((tmp_path / "second" / "fences" / "1.json").read_text()) == []
+    # a fence that was saved is another one than the mission's
+    path = tmp_path / "second" / "fences" / "3.json"
+    items = [item._asdict() for item in polygon([(47.3, 8.5), (47.3, 8.6), (47.5, 8.6)])]
+    path.write_text(json.dumps(items))
+    restored = check(fleet, tmp_path / "third", plan, CheckOptions(restore=path.parent.parent))
+    assert "system 3: fence of 3 items uploaded" in restored.parameters_set
+    assert fence_messages(restored)[2] == (
+        "system 3: has another fence than the mission's (3 items): swarm check MISSION --fence "
+        "replaces it"
+    )
+    path.write_text('{"command": 1}')
+    with pytest.raises(InputError, match="expected the saved fence of an earlier check"):
+        check(fleet, tmp_path / "no", options=CheckOptions(restore=path.parent.parent))
+
+
+def fence_messages(report):
+    return [finding.message for finding in report.findings if finding.check == "fence"]

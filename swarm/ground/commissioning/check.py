@@ -28,8 +28,10 @@ from swarm.ground.commissioning.audit import (
     ProgressCallback,
     VehicleAudit,
     save_parameters,
+    wanted_fence,
 )
 from swarm.ground.commissioning.survey import Survey, open_survey
+from swarm.mavlink.fence import FenceItem, same_fence
 from swarm.mission import Vehicles
 from swarm.mission.fleet import Fleet
 from swarm.mission.validation import LARGEST_FILE
@@ -40,6 +42,8 @@ _STREAM_START = 2.5
 _READY_TIMEOUT = 5.0
 """Seconds within which a vehicle that has run for long must report that it is ready."""
 _HOLD_TIMEOUT = 15.0
+_POLYGON = 4
+"""The bit of FENCE_TYPE for the uploaded polygon (ArduPilot, AC_Fence)."""
 
 SUBJECTS = {
     "plan": "plan",
@@ -51,6 +55,7 @@ SUBJECTS = {
     "position": "position quality",
     "corrections": "corrections of positions",
     "parameters": "parameters",
+    "fence": "fences",
     "placement": "positions against pads",
     "origin": "origins",
     "clock": "clocks and delays",
@@ -127,6 +132,7 @@ class CheckOptions:
     - ``soak``: seconds for which the links are measured.
     - ``confirm_fix``: called with the deviating parameters; True sets them.
     - ``restore``: folder of an earlier check or flight whose saved parameters are set again.
+    - ``fence``: upload the mission's fence to all vehicles, and enable it.
     - ``rtcm``: address of a source of corrections that are sent to the vehicles' receivers.
     - ``progress``: called from another thread with the present step.
     """
@@ -136,6 +142,7 @@ class CheckOptions:
     restore: Path | None = None
     progress: ProgressCallback = lambda *_: None
     rtcm: str | None = None
+    fence: bool = False
 
 
 def check(
@@ -188,6 +195,7 @@ class _Check:
         changed: list[str] = []
         if self.options.restore is not None:
             changed += auditor.set(_changed_since(audits, self.options.restore))
+            changed += auditor.set_fences(_fences_before(audits, self.options.restore))
             audits = auditor.updated(audits)
         rows = [row for audit in audits for row in audit.deviations if row.value is not None]
         confirm_fix = self.options.confirm_fix
@@ -195,9 +203,15 @@ class _Check:
             changed += auditor.fix(rows)
             audits = auditor.updated(audits)
         placement, order = self._placement()
+        wanted = self._wanted_fence(order)
+        if self.options.fence and wanted:
+            changed += auditor.set_fences({audit.system: wanted for audit in audits})
+            changed += auditor.set(enabled_fences(audits))
+            audits = auditor.updated(audits)
+        fences = [] if wanted is None else [audit.fence_finding(wanted) for audit in audits]
         hold = self._test_hold()
         links = self._soak()
-        return self._report(audits, links, changed, [*placement, *hold], order)
+        return self._report(audits, links, changed, [*placement, *hold, *fences], order)
 
     @property
     def listener(self) -> FleetListener:
@@ -211,6 +225,13 @@ class _Check:
             if self.plan
             else fleet_requirements(Vehicles(), fleet)
         )
+
+    def _wanted_fence(self, order: Sequence[int]) -> tuple[FenceItem, ...] | None:
+        """Return the mission's fence; None without a mission, or where it cannot be placed."""
+        if self.plan is None or not order:
+            return None
+        flyers = [self.listener.team.vehicles[system] for system in order]
+        return wanted_fence(self.plan, flyers, self.listener.fleet)
 
     def _wait_for_vehicles(self) -> None:
         """Wait until all vehicles are received, at the requested rates."""
@@ -313,6 +334,41 @@ class _Check:
             findings.extend(link.findings(STREAM_LOSS_TIME, fleet.rates.position))
         findings.extend(radio_findings(fleet, plan.vehicles if plan else len(fleet.vehicles)))
         return CheckReport(tuple(audits), tuple(links), tuple(changed), tuple(findings), order)
+
+
+def enabled_fences(audits: Sequence[VehicleAudit]) -> dict[int, dict[str, float]]:
+    """Return the parameters by which each ArduPilot watches the polygon of its fence."""
+    return {
+        audit.system: {
+            "FENCE_ENABLE": 1.0,
+            "FENCE_TYPE": float(int(audit.parameters["FENCE_TYPE"]) | _POLYGON),
+        }
+        for audit in audits
+        if "FENCE_TYPE" in audit.parameters
+    }
+
+
+def _fences_before(
+    audits: Sequence[VehicleAudit], folder: Path
+) -> dict[int, tuple[FenceItem, ...]]:
+    """Return the saved fences that differ from the present ones, by system id."""
+    before = {}
+    for audit in audits:
+        path = folder / "fences" / f"{audit.system}.json"
+        if path.exists():
+            document = parse_json(read_bytes(path, LARGEST_FILE), str(path))
+            try:
+                items = tuple(
+                    FenceItem(**(item | {"parameters": tuple(item["parameters"])}))
+                    for item in document
+                )
+            except (TypeError, KeyError):
+                raise InputError(
+                    [Problem(str(path), "expected the saved fence of an earlier check")]
+                ) from None
+            if not same_fence(items, audit.fence or ()):
+                before[audit.system] = items
+    return before
 
 
 def _changed_since(audits: Sequence[VehicleAudit], folder: Path) -> dict[int, dict[str, float]]:
