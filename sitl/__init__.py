@@ -24,9 +24,8 @@ pre-arm bit), EXTENDED_SYS_STATE, HOME_POSITION, GPS_RAW_INT, GLOBAL_POSITION_IN
 and BATTERY_STATUS. `tests/sitl/test_services.py` tests this sequence.
 """
 
-from sitl.emulator import Emulator
-from sitl.faults.scenario import Fault, load_scenario, parse_scenario
-from sitl.truth import Truth
+from sitl.emulator import Emulator, Truth
+from sitl.faults import Fault, load_scenario, parse_scenario
 from sitl.world import World, WorldError, default_world, load_world, parse_world
 
 __all__ = [

@@ -4,19 +4,22 @@ import json
 import os
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import click
 
 from sitl import server
-from sitl.capture import MotionCapture
 from sitl.emulator import Emulator
-from sitl.faults.scenario import load_scenario
-from sitl.firmware.positioning import Positioning
-from sitl.firmware.selection import Firmware, FirmwareError, assign, check_positioning
-from sitl.firmware.selection import parse as parse_firmware
+from sitl.faults import load_scenario
+from sitl.firmware.processes import (
+    Firmware,
+    FirmwareError,
+    Positioning,
+    assign,
+    check_positioning,
+    parse_firmware,
+)  # fmt: skip
 from sitl.firmware.team import flying
 from sitl.world import Kind, WorldError, default_world, load_key, load_world, schema
 from swarm import precompile
@@ -133,8 +136,23 @@ def command(
     /,
     world: Path | None,
     count: int | None,
+    kinds: list[Kind],
+    firmware: str | None,
+    firmware_folder: Path | None,
+    positioning: Positioning,
+    mocap: tuple[str, int] | None,
+    scenario: Path | None,
+    speed: float,
+    seed: int | None,
+    host: str,
+    target: tuple[str, int] | None,
+    port_step: int | None,
+    signing_key: Path | None,
+    truth: Path | None,
+    clock: Path | None,
+    as_json: bool,
+    follow_parent: int | None,
     print_schema: bool,
-    **options: Any,
 ) -> None:
     """Run emulated vehicles (PX4-like or ArduPilot-like), for any MAVLink client.
 
@@ -147,32 +165,55 @@ def command(
     """
     if print_schema:
         click.echo(json.dumps(schema(), indent=2))
-    elif world is not None and count is not None:
+        return
+    if world is not None and count is not None:
         raise click.UsageError("--world and --count do not go together")
-    else:
-        context.exit(_run(world, count or 1, Options(**options)))
-
-
-@dataclass(frozen=True)
-class Options:
-    """The options of the command beside the vehicles."""
-
-    kinds: list[Kind]
-    firmware: str | None
-    firmware_folder: Path | None
-    positioning: Positioning
-    mocap: tuple[str, int] | None
-    scenario: Path | None
-    speed: float
-    seed: int | None
-    host: str
-    target: tuple[str, int] | None
-    port_step: int | None
-    signing_key: Path | None
-    truth: Path | None
-    clock: Path | None
-    as_json: bool
-    follow_parent: int | None
+    parent = os.getppid()
+    try:
+        parts = parse_firmware(firmware) if firmware else []
+        check_positioning(parts, positioning)
+        if parts:
+            kinds = _in_order(parts, count or 1)
+        made = load_world(world) if world else default_world(count or 1, kinds)
+        if seed is not None:
+            made = made.model_copy(update={"seed": seed})
+        faults = load_scenario(scenario) if scenario else []
+        flown = assign(parts, made)
+        emulator = Emulator(made, faults, outside=list(flown))
+        if signing_key:
+            emulator.sign_with(load_key(signing_key), time.time())
+    except (WorldError, FirmwareError) as error:
+        click.echo(f"{error}", err=True)
+        context.exit(2)
+    precompile.load()
+    try:
+        running = (
+            server.to_target(emulator, target, host, speed)
+            if target
+            else server.to_default_ports(emulator, host, speed, port_step)
+        )
+        if clock is not None:
+            running.clock = server.open_clock(clock)
+        if mocap is not None:
+            running.capture = server.MotionCapture(emulator, mocap)
+        address = f"{target[0]}:{target[1]}" if target else None
+        with (
+            sealed(),
+            flying(emulator, flown, address, firmware_folder, positioning) as exchange,
+        ):
+            if exchange is not None:
+                running.advance = exchange.advance
+            # with its PID, a parent that ended before this process started is detected too
+            followed = None if follow_parent is None else follow_parent or parent
+            server.serve(running, truth, as_json=as_json, parent=followed)
+    except FirmwareError as error:
+        click.echo(f"{error}", err=True)
+        context.exit(3)
+    except OSError as error:
+        click.echo(
+            f"swarm sitl: cannot open sockets on {host}: {error.strerror or error}", err=True
+        )
+        context.exit(3)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -188,57 +229,6 @@ def main(arguments: list[str] | None = None) -> int:
     except click.Abort:
         return 130
     return code if isinstance(code, int) else 0
-
-
-def _run(world_file: Path | None, count: int, given: Options) -> int:
-    """Serve the vehicles until they end; return the exit code."""
-    parent = os.getppid()
-    try:
-        parts = parse_firmware(given.firmware) if given.firmware else []
-        check_positioning(parts, given.positioning)
-        kinds = _in_order(parts, count) if parts else given.kinds
-        world = load_world(world_file) if world_file else default_world(count, kinds)
-        if given.seed is not None:
-            world = world.model_copy(update={"seed": given.seed})
-        faults = load_scenario(given.scenario) if given.scenario else []
-        firmware = assign(parts, world)
-        emulator = Emulator(world, faults, outside=list(firmware))
-        if given.signing_key:
-            emulator.sign_with(load_key(given.signing_key), time.time())
-    except (WorldError, FirmwareError) as error:
-        click.echo(f"{error}", err=True)
-        return 2
-    precompile.load()
-    try:
-        if given.target is not None:
-            running = server.to_target(emulator, given.target, given.host, given.speed)
-        else:
-            running = server.to_default_ports(emulator, given.host, given.speed, given.port_step)
-        if given.clock is not None:
-            running.clock = server.open_clock(given.clock)
-        if given.mocap is not None:
-            running.capture = MotionCapture(emulator, given.mocap)
-        target = f"{given.target[0]}:{given.target[1]}" if given.target else None
-        folder = given.firmware_folder
-        with sealed(), flying(emulator, firmware, target, folder, given.positioning) as exchange:
-            if exchange is not None:
-                running.advance = exchange.advance
-            return server.serve(
-                running,
-                given.truth,
-                as_json=given.as_json,
-                follow_parent=given.follow_parent is not None,
-                # with its PID, a parent that ended before this process started is detected too
-                parent=given.follow_parent or parent,
-            )
-    except FirmwareError as error:
-        click.echo(f"{error}", err=True)
-        return 3
-    except OSError as error:
-        click.echo(
-            f"swarm sitl: cannot open sockets on {given.host}: {error.strerror or error}", err=True
-        )
-        return 3
 
 
 def _in_order(parts: list[Firmware], count: int) -> list[Kind]:

@@ -10,28 +10,26 @@ import itertools
 import math
 import operator
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sitl.autopilots import services, streams
+from sitl.autopilots import services, telemetry
 from sitl.autopilots.ardupilot import ArduPilot
 from sitl.autopilots.px4 import Px4
-from sitl.autopilots.telemetry import discharge
-from sitl.cable.grips import free_motion, holders
+from sitl.cable.grips import FreeMotion
 from sitl.cable.swinging import AnyRope, SwingingRope, make_rope
-from sitl.faults.injector import Injector
-from sitl.faults.scenario import Fault
-from sitl.physics import landing, motion, rigid_bodies, wind
+from sitl.faults import Fault, Injector
+from sitl.physics import motion, rigid_bodies
 from sitl.physics.contacts import Contacts
-from sitl.physics.dynamics import STEP, Array, Bodies, Flags
+from sitl.physics.dynamics import STEP, Array, Bodies, Flags, downwash_at
 from sitl.physics.geodesy import Geodesy
 from sitl.protocol import wire
 from sitl.protocol.incoming import Incoming, Received
-from sitl.protocol.links import Link
-from sitl.protocol.parameter_protocol import start_with_given
 from sitl.protocol.vehicle import Environment, Vehicle
-from sitl.truth import Truth
+from sitl.protocol.wire import Link
 from sitl.world import World
 
 _link_of = operator.itemgetter(0)
@@ -42,6 +40,36 @@ AUTOPILOT_STEPS, _AIR_STEPS, _BATTERY_STEPS, _WASH_STEPS = 2, 5, 25, 50
 _WASH_STRIDE = 3
 """Downwash is computed for every third sample of the cable."""
 _VISION_TIMEOUT = 1.0
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Ground truth at ``time`` (world ENU, SI), for tests and records only.
+
+    ``position`` (n, 3) are grip points in the file's order of vehicles, ``velocity`` (n, 3),
+    ``tilt`` (n,) radians from vertical, ``gripped`` (n,), ``grip_arc`` (n,) the arc length of each
+    grip (NaN: none), ``cable`` (m, 3) samples along the cable (empty without one), ``tension``,
+    ``chord`` and ``length`` of the spans between grips, ``contacts`` between vehicles or with the
+    ground, ``strikes`` of rotors on cable and all ``events`` since the start.
+    """
+
+    time: float
+    ids: tuple[int, ...]
+    position: Array
+    velocity: Array
+    tilt: Array
+    armed: NDArray[np.bool_]
+    landed: NDArray[np.bool_]
+    gripped: NDArray[np.bool_]
+    grip_arc: Array
+    cable: Array
+    tension: Array
+    chord: Array
+    length: Array
+    charge: Array
+    contacts: tuple[dict[str, Any], ...]
+    strikes: tuple[dict[str, Any], ...]
+    events: tuple[dict[str, Any], ...]
 
 
 class Emulator:
@@ -109,7 +137,7 @@ class Emulator:
         for vehicle in self.vehicles:
             vehicle.inject = functools.partial(self.injector.inject, vehicle)
             vehicle.on_sim_parameter = functools.partial(self.injector.apply_parameter, vehicle)
-        start_with_given(self.vehicles)
+        services.start_with_given(self.vehicles)
 
     def sign_with(self, key: bytes, unix_time: float) -> None:
         """Sign all frames with a key, and drop frames that are not signed with it.
@@ -132,7 +160,7 @@ class Emulator:
         link = vehicle.add_link(kind)
         vehicle.origin_announced_at = vehicle.now
         self._set_key(link, len(vehicle.links) - 1)
-        rates = streams.default_streams(vehicle, link)
+        rates = telemetry.default_streams(vehicle, link)
         spread = np.linspace(0.0, 1.0, len(rates) * 7)[1:]
         for k, (name, rate) in enumerate(rates.items()):
             phase = float(spread[(k * 3 + vehicle.index) % len(spread)]) / rate
@@ -293,7 +321,7 @@ class Emulator:
             b.set_external_force(self._pull / rigid_bodies.SUBSTEPS)
             self._pull[:] = 0.0
         elif rope is not None and self._steps % rope.force_interval == 0:
-            force = rope.forces(*self._holders(), free_motion(b, len(self.injector.anchors)))
+            force = rope.forces(*self._holders(), self._free_motion())
             b.set_external_force(force[: b.count])
             if self.injector.anchors:
                 self.injector.drag(force[b.count :], rope.force_interval * STEP)
@@ -305,14 +333,14 @@ class Emulator:
         if self._steps % _AIR_STEPS == 0:
             self._update_air(_AIR_STEPS * STEP)
         if self._steps % AUTOPILOT_STEPS == 0:
-            landing.supervise(b, AUTOPILOT_STEPS * STEP)
+            b.supervise(AUTOPILOT_STEPS * STEP)
             if b.landed_changes != self._landed_changes:
                 self._landed_changes = b.landed_changes
                 self._wake()
             for vehicle in self.vehicles:
                 if vehicle.next_check_at <= now:
                     services.update(vehicle, now)
-        streams.send_due(self._links, now)
+        telemetry.send_due(self._links, now)
 
     def advance_outside(self, command: Array, ahead: float) -> None:
         """Advance the vehicles of real autopilots, and the cable, by one of their substeps.
@@ -342,8 +370,21 @@ class Emulator:
             self._event("crashed", system)
 
     def _holders(self) -> tuple[Array, Array]:
-        """Return positions and velocities of all holders of cable: vehicles, then snags."""
-        return holders(self.bodies, [anchor.position for anchor in self.injector.anchors])
+        """Return positions and velocities (n, 3) of all holders of cable: vehicles, then snags."""
+        anchors = [anchor.position for anchor in self.injector.anchors]
+        grips, velocity = self.bodies.grip_points(), self.bodies.velocity
+        if not anchors:
+            return grips, velocity
+        return np.vstack([grips, anchors]), np.vstack([velocity, np.zeros((len(anchors), 3))])
+
+    def _free_motion(self) -> FreeMotion:
+        """Return the motion of all holders without cable; snags resist it by friction alone."""
+        snags = len(self.injector.anchors)
+        acceleration, mobility = self.bodies.free_motion()
+        if snags:
+            acceleration = np.vstack([acceleration, np.zeros((snags, 3))])
+            mobility = np.append(mobility, np.zeros(snags))
+        return FreeMotion(acceleration, mobility)
 
     def _wake(self) -> None:
         """Make every autopilot check again after an event that may concern it."""
@@ -354,7 +395,7 @@ class Emulator:
         b = self.bodies
         b.step_disturbances(interval)
         if self._steps % _BATTERY_STEPS == 0:
-            discharge(self.vehicles, b, _BATTERY_STEPS * STEP)
+            telemetry.discharge(self.vehicles, b, _BATTERY_STEPS * STEP)
             self._detect_lost_vision()
         cable = None
         rope = self.rope
@@ -364,9 +405,7 @@ class Emulator:
                 cable = rope.update(self._holders()[0], interval, solved=True)
                 if wash_due:
                     washed = cable[::_WASH_STRIDE]
-                    rope.set_wash(
-                        wind.downwash_at(washed, b.position, b.lift(), b.radius), _WASH_STRIDE
-                    )
+                    rope.set_wash(downwash_at(washed, b.position, b.lift(), b.radius), _WASH_STRIDE)
         self.contacts.detect(self.time, self._ids, cable)
 
     def _detect_lost_vision(self) -> None:

@@ -15,17 +15,18 @@ import socket
 import struct
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
-from sitl.capture import MotionCapture
-from sitl.emulator import Emulator
+import numpy as np
+
+from sitl.emulator import Emulator, Truth
 from sitl.physics.dynamics import STEP
-from sitl.protocol.links import Link
 from sitl.protocol.vehicle import Vehicle
-from sitl.truth import Truth
+from sitl.protocol.wire import Link
 
 OFFBOARD, OFFBOARD_LOCAL, GROUND, GROUND_LOCAL, TCP = 14540, 14580, 14550, 18570, 5760
 """Ports of PX4's and ArduPilot's simulators."""
@@ -41,6 +42,50 @@ _TIME = struct.Struct("<d")
 _PATIENCE = 2.0
 """Seconds of real time for which the world waits for a ground station that follows it: one that is
 killed does not come back, and its vehicles' failsafes are to be seen."""
+
+
+class MotionCapture:
+    """The vehicles' true poses in an emulated laboratory, late and noisy as the world says, by UDP.
+
+    One JSON datagram for each frame, every step of the world: ``{"time": seconds, "bodies": {"1":
+    [x, y, z, qw, qx, qy, qz]}}``: system ids; world ENU, body FLU.
+    """
+
+    def __init__(self, emulator: Emulator, target: tuple[str, int]) -> None:
+        self._emulator, self._target = emulator, target
+        self._delay, self._noise = emulator.world.capture.delay, emulator.world.capture.noise
+        self._rng = np.random.default_rng([emulator.world.seed, len(emulator.vehicles)])
+        self._waiting: deque[tuple[float, bytes]] = deque()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+
+    def send(self) -> None:
+        """Capture a frame, and send those that are due."""
+        now = self._emulator.time
+        self._waiting.append((now + self._delay, self.frame()))
+        while self._waiting and self._waiting[0][0] <= now + 1e-9:
+            _, data = self._waiting.popleft()
+            try:
+                self._socket.sendto(data, self._target)
+            except (BlockingIOError, ConnectionError):
+                continue
+
+    def frame(self) -> bytes:
+        """Return the present frame."""
+        b, outside = self._emulator.bodies, self._emulator.outside
+        position = b.position + self._noise * self._rng.standard_normal((b.count, 3))
+        attitude = np.zeros((b.count, 4))
+        attitude[:, 0], attitude[:, 3] = np.cos(0.5 * b.yaw), np.sin(0.5 * b.yaw)
+        if outside is not None:
+            attitude[outside.rows] = outside.state[:, 6:10]
+        rows = np.hstack([position, attitude]).round(6).tolist()
+        ids = (str(vehicle.system) for vehicle in self._emulator.vehicles)
+        frame = {"time": self._emulator.time, "bodies": dict(zip(ids, rows, strict=True))}
+        return json.dumps(frame).encode("ascii")
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
 
 
 @dataclass
@@ -76,6 +121,14 @@ class Server:
         self.poll = select.poll()
         self.stopped = False
         self.description: list[dict[str, Any]] = []
+
+    def describe(self, vehicle: Vehicle) -> dict[str, Any]:
+        """Add a vehicle to the description of the connections; return its entry."""
+        entry: dict[str, Any] = {"id": vehicle.system, "autopilot": vehicle.spec.autopilot}
+        if not vehicle.links:
+            entry["firmware"] = True
+        self.description.append(entry)
+        return entry
 
     def udp(
         self, vehicle: Vehicle, link: Link, peer: tuple[str, int] | None, local: int = 0
@@ -262,25 +315,10 @@ def to_target(emulator: Emulator, target: tuple[str, int], host: str, speed: flo
     """Return a server that sends from one ephemeral UDP port per vehicle to one address."""
     server = Server(emulator, host, speed)
     for vehicle in emulator.vehicles:
-        if not vehicle.links:
-            server.description.append(
-                {
-                    "id": vehicle.system,
-                    "autopilot": vehicle.spec.autopilot,
-                    "firmware": True,
-                    "udp_to": f"{target[0]}:{target[1]}",
-                }
-            )
-            continue
-        local = server.udp(vehicle, vehicle.links[0], target)
-        server.description.append(
-            {
-                "id": vehicle.system,
-                "autopilot": vehicle.spec.autopilot,
-                "udp_local": local,
-                "udp_to": f"{target[0]}:{target[1]}",
-            }
-        )
+        entry = server.describe(vehicle)
+        if vehicle.links:
+            entry["udp_local"] = server.udp(vehicle, vehicle.links[0], target)
+        entry["udp_to"] = f"{target[0]}:{target[1]}"
     return server
 
 
@@ -292,21 +330,18 @@ def to_default_ports(emulator: Emulator, host: str, speed: float, port_step: int
     """
     server = Server(emulator, host, speed)
     for i, vehicle in enumerate(emulator.vehicles):
-        one: dict[str, Any] = {"id": vehicle.system, "autopilot": vehicle.spec.autopilot}
-        if not vehicle.links:
-            one["firmware"] = True
-        elif vehicle.spec.autopilot == "px4":
+        entry = server.describe(vehicle)
+        if vehicle.links and vehicle.is_px4:
             offset = min(i, 9) if port_step is None else i * port_step
             server.udp(vehicle, vehicle.links[0], (host, OFFBOARD + offset), OFFBOARD_LOCAL + i)
-            one["udp_to"] = f"{host}:{OFFBOARD + offset}"
+            entry["udp_to"] = f"{host}:{OFFBOARD + offset}"
             ground = emulator.open_link(vehicle, "gcs")
             server.udp(vehicle, ground, (host, GROUND), GROUND_LOCAL + i)
-        else:
+        elif vehicle.links:
             server.udp(vehicle, vehicle.links[0], (host, GROUND))
             port = server.listen(vehicle, TCP + 10 * i)
-            one["tcp" if port else "tcp_taken"] = f"{host}:{TCP + 10 * i}"
-        one["udp_ground"] = f"{host}:{GROUND}"
-        server.description.append(one)
+            entry["tcp" if port else "tcp_taken"] = f"{host}:{TCP + 10 * i}"
+        entry["udp_ground"] = f"{host}:{GROUND}"
     return server
 
 
@@ -357,12 +392,12 @@ _PHRASES = {
 def connect_help(server: Server) -> str:
     """Return instructions for connecting the usual clients to ``server``."""
     lines = [
-        f"{one['id']:>4}  {one['autopilot']:<9}  "
-        + ", ".join(phrase.format(one[key]) for key, phrase in _PHRASES.items() if one.get(key))
-        for one in server.description
+        f"{entry['id']:>4}  {entry['autopilot']:<9}  "
+        + ", ".join(phrase.format(entry[key]) for key, phrase in _PHRASES.items() if entry.get(key))
+        for entry in server.description
     ]
     first = server.description[0]
-    tcp = [one["tcp"] for one in server.description if one.get("tcp")]
+    tcp = [entry["tcp"] for entry in server.description if entry.get("tcp")]
     ground = first.get("udp_ground") or first["udp_to"]
     if "udp_to" in first or not tcp:
         address = first.get("udp_to", ground)
@@ -382,10 +417,8 @@ def connect_help(server: Server) -> str:
     return "\n".join(lines)
 
 
-def serve(
-    server: Server, truth: Path | None, *, as_json: bool, follow_parent: bool, parent: int
-) -> int:
-    """Run a server until a signal ends it; return the exit code."""
+def serve(server: Server, truth: Path | None, *, as_json: bool, parent: int | None) -> None:
+    """Run a server until a signal, or the end of the process ``parent``, ends it."""
     signal.signal(signal.SIGINT, server.stop)
     signal.signal(signal.SIGTERM, server.stop)
     with contextlib.ExitStack() as stack:
@@ -394,12 +427,10 @@ def serve(
         if truth is not None:
             writer = truth_writer(stack.enter_context(truth.open("w")))
         if as_json:
-            line = json.dumps(
-                {"ready": True, "speed": server.speed, "vehicles": server.description}
-            )
+            ready = {"ready": True, "speed": server.speed, "vehicles": server.description}
+            line = json.dumps(ready)
         else:
             line = f"{len(server.description)} emulated vehicles\n{connect_help(server)}"
         sys.stdout.write(line + "\n")
         sys.stdout.flush()
-        server.run(writer, parent if follow_parent else None)
-    return 0
+        server.run(writer, parent)

@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from sitl.__main__ import command as emulator
-from sitl.faults.scenario import KINDS
+from sitl.faults import KINDS
 from swarm.cli.main import COMMANDS, cli
 from swarm.flight import policy
 from swarm.flight.stages import mermaid
@@ -235,8 +235,8 @@ def _fault_keys() -> Iterator[str]:
     yield from _table(
         ("kind", "keys"),
         (
-            (f"`{kind}`", ", ".join(f"`{key}`" for key in keys) or "–")
-            for kind, keys in KINDS.items()
+            (f"`{name}`", ", ".join(f"`{key}`" for key in kind.keys) or "–")
+            for name, kind in KINDS.items()
         ),
     )
 

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sitl.faults.scenario import parse_scenario
+from sitl.faults import parse_scenario
 from sitl.world import WorldError, parse_world
 from swarm.certification.motion_file import read_lengths, read_motion
 from swarm.errors import InputError

@@ -11,21 +11,28 @@ commands.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
-import numpy as np
 from pymavlink.dialects.v20 import common as dialect
 
-from sitl.autopilots import controller_goals, mission_flight, streams
-from sitl.autopilots.mission_flight import DONE, LANDING, RETURNING
-from sitl.protocol import fences, wire
-from sitl.protocol.gripper import GripperRequest
-from sitl.protocol.links import ACCEPTED, DENIED, FAILED, Command
-from sitl.protocol.parameter_protocol import SIM_PARAMETERS
+from sitl.autopilots.missions import DONE, LANDING, RETURNING, starts_with_takeoff, steer_mission
+from sitl.autopilots.telemetry import send_now
+from sitl.faults import SIM_PARAMETERS
+from sitl.protocol import wire
+from sitl.protocol.missions import breached
 from sitl.protocol.parameters import INT8, INT16, INT32
-from sitl.protocol.vehicle import MissionProgress, Vehicle
+from sitl.protocol.vehicle import (
+    CRITICAL,
+    INFO,
+    SLOW_INTERVAL,
+    WARNING,
+    Autopilot,
+    Commands,
+    GripperRequest,
+    Vehicle,
+)  # fmt: skip
+from sitl.protocol.wire import ACCEPTED, DENIED, FAILED, Command
 
 
 @dataclass(frozen=True)
@@ -60,7 +67,6 @@ FENCE = {0: None, 1: RTL, 2: LAND, 3: RTL, 4: BRAKE, 5: LAND}
 """FENCE_ACTION."""
 BATTERY = {0: None, 1: LAND, 2: RTL, 3: RTL, 4: LAND, 6: LAND, 7: BRAKE}
 """BATT_FS_LOW_ACT and BATT_FS_CRT_ACT."""
-"""FS_DR_ENABLE."""
 
 PARAMETERS: dict[str, float | int] = {
     "ANGLE_MAX": 3000, "ARMING_CHECK": 1, "AUTO_OPTIONS": 0, "BATT_CAPACITY": 5000,
@@ -117,68 +123,85 @@ DATA_STREAMS: dict[int, tuple[str, ...]] = {
 }
 
 
-INFO, WARNING, CRITICAL = 6, 4, 2
-"""MAV_SEVERITY."""
 POSITION_READY = 42.0
 """Seconds after boot until the estimator has an absolute position."""
 _TAKEN_OFF = 0.9
 """Share of the height at which a take-off ends."""
 _LOGS_ON = 15.0
 """Seconds for which the log continues after disarming."""
+_LOCAL, _LOCAL_OFFSET, _BODY, _BODY_OFFSET = 1, 7, 8, 9
+_TAKEOFF_CANCELLED = 0.2
+_POSITION, _VELOCITY, _ACCELERATION, _FORCE = 7, 56, 448, 512
+_YAW_BITS = 3072
+_Vector = tuple[float, float, float]
+_BASIC_READY = 10.0
+ALTITUDE, CIRCLE, POLYGON = 1, 2, 4
+"""FENCE_TYPE."""
+_RELEASE_GRIPPER = 32
+"""FS_OPTIONS."""
+_LAND_PAUSE = 4.0
+"""Seconds for which a failsafe's landing hovers first (LAND_WITH_DELAY_MS in its source)."""
+_RADIO_IN_AUTO, _GCS_IN_AUTO, _RADIO_IN_GUIDED, _WHILE_LANDING, _GCS_WITH_PILOT = 1, 2, 4, 8, 16
+"""FS_OPTIONS: conditions in which a failsafe does not change the mode."""
+_RADIO_TIMEOUT = 1.0
+"""Seconds without pulses until a radio counts as lost: RC_FS_TIMEOUT's default; measured."""
+_ESTIMATOR_TIMEOUT = 8.0
+"""Seconds without a receiver until the estimator's variances are a failure: measured on 4.6.2.
+
+The dead reckoning failsafe (FS_DR_ENABLE) does not come before it: it needs an estimate of the
+wind (EK3_DRAG_BCOEF_X), which multicopters have only where somebody has measured their drag."""
+_FENCES = {ALTITUDE: "Max Alt", CIRCLE: "Circle", POLYGON: "Polygon"}
+_FORCE_ARM, _FORCE_DISARM = 2989, 21196
+_PREARM_INTERVAL = 30.0
+_CRASH_TIME = 2.0
+_ARMING_DELAY = 2.0
+"""Seconds after arming in which the motors do not turn."""
+_CHECK_INTERVAL = 1.0
+_ALIGNED_AFTER = 5.0
+"""Seconds of flight after which the estimator reports its heading as aligned."""
+_IDLE_TIME = 0.4
+"""Seconds on the ground after which the autopilot disarms when it has landed by itself."""
+_VERTICAL_INTEGRAL = 1.1
+"""Integral gain on the vertical velocity error, 1/s², over PSC_VELZ_P · PSC_ACCZ_I.
+
+ArduCopter closes a loop on the measured acceleration; at a hover throttle of 0.39 its gains are
+1.26 and 2.5 /s, and the integral becomes 2.5 / (1 + 1.26)."""
 
 
-class ArduPilot:
-    """ArduCopter of one vehicle; the methods are those of `sitl.protocol.vehicle.Autopilot`.
+class ArduPilot(Autopilot):
+    """ArduCopter of one vehicle.
 
     ``submode`` is the kind of GUIDED ("takeoff", "posvel", …) or AUTO, ``stage`` the part of RTL
     or of a mission's landing.
     """
 
     streams = STREAMS
-
-    follows_setpoints = False
-    """GUIDED's handling of a setpoint depends on too much to set only the goal."""
+    gain_parameters = ("PSC_", "ANGLE_", "MOT_SPOOL", "TKOFF_")
+    first_item = 1
+    """The first item of a mission is home."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self.v = vehicle
         self.booted = -math.inf
-        self.has_origin = True
-        self.reset()
         vehicle.parameters.bytewise = False
         table = {**PARAMETERS, **SIM_PARAMETERS, "SYSID_THISMAV": vehicle.system}
-        vehicle.parameters.load(table, KINDS)
-        self.apply_gains()
+        super().__init__(vehicle, table, KINDS)
 
     def reset(self) -> None:
         """Set the state after a boot."""
+        super().reset()
         self.mode = STABILIZE
-        self.failsafe = False
-        self.landing = False
         self.submode = ""
-        self.setpoint_at = self.descend_at = -math.inf
-        self.takeoff_at = -math.inf
-        self.takeoff_height = self.takeoff_from = 0.0
-        self.idle_since = 0.0
-        self.has_flown = False
-        self.goal: Any = None
-        self.stage = ""
-        self.stage_at = 0.0
+        self.setpoint_at = self.descend_at = self.takeoff_at = self.disarmed_at = -math.inf
+        self.takeoff_height = self.takeoff_from = self.idle_since = self.stage_at = 0.0
         self.accepted_mask: int | None = None
-        self.gcs_connected = self.gcs_lost = False
+        self.gcs_lost = self.radio_failed = False
         self.checked = (-math.inf, False)
-        self.radio_known = self.radio_failed = False
-        self.radio_lost_at: float | None = None
         self.outside_fences = 0
-        self.v.mission_progress = MissionProgress(first=1)
-        self.battery_level = 0
         self.battery_low_at = {1: math.inf, 2: math.inf}
         self.position_lost_at: float | None = None
         self.prearm_at = 0.0
         self.tumbled_at: float | None = None
         self.landed_at = math.inf
-        self.disarmed_at = -math.inf
-        self.slow_at = -math.inf
-        self.pilot = False
 
     @property
     def logging(self) -> bool:
@@ -217,9 +240,6 @@ class ArduPilot:
         """Return whether the estimator has an absolute position."""
         return self.v.local_valid and self.v.now - self.booted >= POSITION_READY
 
-    def note_setpoint(self, data: bytes, now: float) -> None:
-        """Do nothing: see `follows_setpoints`."""
-
     def restart(self) -> None:
         """Boot: the estimator has a position after 42 s."""
         v = self.v
@@ -231,15 +251,14 @@ class ArduPilot:
     def _set_origin(self) -> None:
         v = self.v
         self.has_origin = True
-        set_home(self)
+        self.set_home()
         v.text(INFO, "EKF3 IMU0 origin set")
         v.text(INFO, "EKF3 IMU0 is using GPS")
 
     def apply_gains(self) -> None:
         """Copy the controller parameters into the bodies."""
         p, b, i = self.v.parameters, self.v.bodies, self.v.index
-        controller_goals.gains(
-            self.v,
+        self.v.set_gains(
             (p["PSC_POSXY_P"], p["PSC_POSZ_P"]),
             (p["PSC_VELXY_P"], p["PSC_VELZ_P"]),
             (p["PSC_VELXY_I"], _VERTICAL_INTEGRAL * p["PSC_VELZ_P"] * p["PSC_ACCZ_I"]),
@@ -252,46 +271,24 @@ class ArduPilot:
         b.cut_time[i] = 0.6
         b.refresh()
 
-    def parameter_changed(self, name: str) -> None:
-        """Apply a parameter that PARAM_SET changed."""
-        if name.startswith(("PSC_", "ANGLE_", "MOT_SPOOL", "TKOFF_")):
-            self.apply_gains()
-
     def ready_to_arm(self) -> bool:
         """Return the pre-arm bit: the result of the last checks, which run once a second."""
         now = self.v.now
         if not 0.0 <= now - self.checked[0] < _CHECK_INTERVAL:
-            self.checked = now, refusal(self) is None
+            self.checked = now, self.refusal() is None
         return self.checked[1]
-
-    def handle_command(self, command: Command) -> int | None:
-        """Execute a command; return its MAV_RESULT, None for an unknown command."""
-        handler = COMMANDS.get(command.number)
-        return None if handler is None else handler(self, command)
-
-    def handle_setpoint(self, setpoint: wire.Setpoint) -> None:
-        """Accept or ignore SET_POSITION_TARGET_LOCAL_NED."""
-        accept(self, setpoint)
 
     def set_mode(self, base: int, custom: int) -> int:
         """Execute the legacy message SET_MODE."""
-        return change(self, custom) if base & 1 else DENIED
-
-    def arm(self, force: bool) -> int:
-        """Arm if the checks pass; return the MAV_RESULT."""
-        return arm(self, force)
-
-    def disarm(self, reason: str) -> None:
-        """Stop the motors, on the ground or in flight."""
-        disarm(self, reason)
+        return self.change(custom) if base & 1 else DENIED
 
     def pilot_override(self) -> None:
         """Select LOITER, as a pilot's switch does."""
-        change(self, LOITER)
+        self.change(LOITER)
 
     def leave_offboard(self) -> None:
         """Change from GUIDED to BRAKE without a reason that the ground station receives."""
-        change(self, BRAKE)
+        self.change(BRAKE)
 
     def update(self) -> float:
         """Check timers and conditions, at most 25 times a second; return when to check next."""
@@ -309,16 +306,16 @@ class ArduPilot:
         v = self.v
         slow = v.now >= self.slow_at
         if slow:
-            self.slow_at = v.now + _SLOW_INTERVAL
+            self.slow_at = v.now + SLOW_INTERVAL
         if not v.armed:
             self._report_refusal()
             if slow:
-                watch_ground_station(self)
+                self.watch_ground_station()
             return
         if v.bodies.tumbling[v.index] and self._crash_check():
             return
         if slow:
-            watch(self)
+            self.watch()
         if v.landed:
             self._on_ground()
             return
@@ -326,7 +323,7 @@ class ArduPilot:
             v.timers.append((v.now + _ALIGNED_AFTER, self._report_alignment))
         self.has_flown = True
         self.idle_since, self.landed_at = v.now, math.inf
-        steer(self)
+        self.steer()
 
     def _report_alignment(self) -> None:
         if not self.v.landed:
@@ -350,7 +347,7 @@ class ArduPilot:
         if v.now - self.prearm_at < _PREARM_INTERVAL:
             return
         self.prearm_at = v.now
-        reason = refusal(self)
+        reason = self.refusal()
         if reason:
             v.text(CRITICAL, reason)
 
@@ -367,618 +364,488 @@ class ArduPilot:
         elif 0 < v.parameters["DISARM_DELAY"] < v.now - self.idle_since:
             self.disarm("idle")
 
+    def handle_setpoint(self, setpoint: wire.Setpoint) -> None:
+        """Accept a setpoint in GUIDED; the mask selects position, velocity or acceleration."""
+        v = self.v
+        mask = setpoint.mask
+        if self.mode != GUIDED or not v.armed or mask & _FORCE:
+            return
+        if setpoint.frame not in {_LOCAL, _LOCAL_OFFSET, _BODY, _BODY_OFFSET}:
+            return
+        if self.submode == "takeoff" and v.landed:
+            if v.now - self.takeoff_at < _TAKEOFF_CANCELLED:
+                v.bodies.may_lift[v.index] = False
+        elif not v.bodies.may_lift[v.index] and v.landed:
+            return
+        position, velocity, acceleration = self._in_world(setpoint)
+        used = [
+            values
+            for values, bits in ((position, _POSITION), (velocity, _VELOCITY),
+                                 (acceleration, _ACCELERATION))
+            if not mask & bits
+        ]  # fmt: skip
+        total = sum(map(sum, used))
+        if total - total != 0.0:
+            return
+        self.setpoint_at = v.now
+        self._follow(mask, position, velocity, acceleration)
+        v.face(mask, setpoint.yaw)
 
-_LOCAL, _LOCAL_OFFSET, _BODY, _BODY_OFFSET = 1, 7, 8, 9
-_TAKEOFF_CANCELLED = 0.2
-_POSITION, _VELOCITY, _ACCELERATION, _FORCE = 7, 56, 448, 512
-_NO_YAW, _YAW_BITS = 1024, 3072
-_Vector = tuple[float, float, float]
-
-
-def accept(copter: ArduPilot, setpoint: wire.Setpoint) -> None:
-    """Accept a setpoint in GUIDED; the mask selects position, velocity or acceleration."""
-    v = copter.v
-    mask = setpoint.mask
-    if copter.mode != GUIDED or not v.armed or mask & _FORCE:
-        return
-    if setpoint.frame not in {_LOCAL, _LOCAL_OFFSET, _BODY, _BODY_OFFSET}:
-        return
-    if copter.submode == "takeoff" and v.landed:
-        if v.now - copter.takeoff_at < _TAKEOFF_CANCELLED:
-            v.bodies.may_lift[v.index] = False
-    elif not v.bodies.may_lift[v.index] and v.landed:
-        return
-    position, velocity, acceleration = _in_world(copter, setpoint)
-    used = [
-        values
-        for values, bits in ((position, _POSITION), (velocity, _VELOCITY),
-                             (acceleration, _ACCELERATION))
-        if not mask & bits
-    ]  # fmt: skip
-    total = sum(map(sum, used))
-    if total - total != 0.0:
-        return
-    copter.setpoint_at = v.now
-    _follow(copter, mask, position, velocity, acceleration)
-    if not mask & _NO_YAW and math.isfinite(setpoint.yaw):
-        v.bodies.goal_yaw[v.index] = math.pi / 2 - setpoint.yaw
-
-
-def _follow(
-    copter: ArduPilot, mask: int, position: _Vector, velocity: _Vector, acceleration: _Vector
-) -> None:
-    v, b, i = copter.v, copter.v.bodies, copter.v.index
-    zero = (0.0, 0.0, 0.0)
-    if mask & _ACCELERATION:
-        acceleration = zero
-    if not mask & _POSITION and not mask & _VELOCITY:
-        kind, ignored = "posvel", mask & _ACCELERATION
-        goal = (*position, *velocity, *acceleration)
-        axes = 1.0
-    elif not mask & _POSITION and mask & _ACCELERATION:
-        kind, ignored = "position", _VELOCITY | _ACCELERATION
-        goal, axes = (*position, *zero, *zero), 1.0
-    elif mask & _POSITION and not mask & _VELOCITY:
-        kind, ignored = "velocity", _POSITION | (mask & _ACCELERATION)
-        goal, axes = (*v.estimated(), *velocity, *acceleration), 0.0
-    elif mask & _POSITION and not mask & _ACCELERATION:
-        kind, ignored = "acceleration", _POSITION | _VELOCITY
-        goal, axes = (*v.estimated(), *zero, *acceleration), 0.0
-    else:
-        kind, ignored = "velocity", _POSITION
-        goal, axes = (*v.estimated(), *zero, *zero), 0.0
-    if kind == copter.submode == "posvel":
-        b.set_goal_values(i, goal)
-    else:
-        copter.submode = kind
-        b.goal_moves[i] = 1.0 if kind == "posvel" else 0.0
-        hold = 0.0 if kind == "acceleration" else 1.0
-        b.set_goal(i, goal, (axes, axes, axes), (hold, hold, hold))
-    copter.accepted_mask = ignored | (mask & _YAW_BITS)
-
-
-def _in_world(copter: ArduPilot, s: wire.Setpoint) -> tuple[_Vector, _Vector, _Vector]:
-    """Return position, velocity and acceleration in world ENU, from any of the four frames."""
-    v = copter.v
-    n, e, d, vn, ve, vd, an, ae, ad = s.values
-    if s.frame == _LOCAL:
-        place = v.to_world(n, e, d)
-    else:
-        x, y, z = v.estimated().tolist()
-        if s.frame in {_BODY, _BODY_OFFSET}:
-            yaw = math.pi / 2 - float(v.bodies.yaw[v.index])
-            cos, sin = math.cos(yaw), math.sin(yaw)
-            n, e = n * cos - e * sin, n * sin + e * cos
-            vn, ve = vn * cos - ve * sin, vn * sin + ve * cos
-            an, ae = an * cos - ae * sin, an * sin + ae * cos
-        place = (x + e, y + n, z - d)
-    return place, (ve, vn, -vd), (ae, an, -ad)
-
-
-_BASIC_READY = 10.0
-ALTITUDE, CIRCLE, POLYGON = 1, 2, 4
-"""FENCE_TYPE."""
-
-
-def refusal(copter: ArduPilot) -> str | None:
-    """Return why arming would fail now, None if it would succeed."""
-    v = copter.v
-    needs_position = MODES[copter.mode].position and not copter.position_ok()
-    checks = (
-        (v.now - copter.booted < _BASIC_READY, "Gyros not calibrated"),
-        (bool(v.refuse_arming), v.refuse_arming),
-        (needs_position, "Need Position Estimate"),
-        (bool(v.bodies.crashed[v.index]), "Motors: Check frame"),
-        (v.spec.radio and v.radio_lost, "Radio failsafe on"),
-        (copter.gcs_lost, "GCS failsafe on"),
-        (bool(beyond_fence(copter)), "Vehicle breaching fence"),
-        (copter.battery_level > 0, "Battery 1 low voltage failsafe"),
-    )
-    return next((f"PreArm: {text}" for failed, text in checks if failed), None)
-
-
-def beyond_fence(copter: ArduPilot) -> int:
-    """Return the fences (bits of FENCE_TYPE) that the vehicle is outside of."""
-    v, p = copter.v, copter.v.parameters
-    if not p.integer("FENCE_ENABLE") or not copter.position_ok():
-        return 0
-    here, home = v.estimated(), v.home if v.home is not None else v.origin
-    found = 0
-    if here[2] - home[2] > p["FENCE_ALT_MAX"]:
-        found |= ALTITUDE
-    if math.hypot(here[0] - home[0], here[1] - home[1]) > p["FENCE_RADIUS"]:
-        found |= CIRCLE
-    if fences.breached(v.fence, float(here[0]), float(here[1])):
-        found |= POLYGON
-    return found & p.integer("FENCE_TYPE")
-
-
-_RELEASE_GRIPPER = 32
-"""FS_OPTIONS."""
-_LAND_PAUSE = 4.0
-"""Seconds for which a failsafe's landing hovers first (LAND_WITH_DELAY_MS in its source)."""
-
-
-def change(copter: ArduPilot, number: int, *, failsafe: bool = False) -> int:
-    """Change the mode, if it exists and can run; return the MAV_RESULT."""
-    v = copter.v
-    if number not in MODES:
-        v.text(WARNING, f"No such mode {number}")
-        return FAILED
-    mode = MODES[number]
-    if v.armed and mode.position and not copter.position_ok():
-        v.text(WARNING, f"Mode change to {mode.name} failed: requires position")
-        return FAILED
-    if number == copter.mode and not failsafe:
-        return ACCEPTED
-    if number == AUTO and not _can_start_mission(copter):
-        return FAILED
-    copter.mode = number
-    copter.failsafe = failsafe
-    copter.descend_at = v.now + _LAND_PAUSE if failsafe and number == LAND else v.now
-    v.environment.event("mode", v.system, mode=mode.name, failsafe=failsafe)
-    _begin(copter)
-    return ACCEPTED
-
-
-def fail_to(copter: ArduPilot, mode: int) -> None:
-    """Change the mode for a failsafe; the gripper opens too where FS_OPTIONS requires it."""
-    v = copter.v
-    if v.parameters.integer("FS_OPTIONS") & _RELEASE_GRIPPER:
-        v.gripper.start(GripperRequest(v.now, grab=False))
-    if mode == RTL and (not copter.position_ok() or v.home is None):
-        mode = LAND
-    change(copter, mode, failsafe=True)
-
-
-def _can_start_mission(copter: ArduPilot) -> bool:
-    """Return whether a mission exists that AUTO can start now."""
-    v = copter.v
-    if len(v.mission[0]) <= 1:
-        v.text(WARNING, "Mode change to AUTO failed: init failed")
-        return False
-    if v.armed and v.landed and not mission_flight.starts_with_takeoff(v):
-        v.text(CRITICAL, "Auto: Missing Takeoff Cmd")
-        return False
-    return True
-
-
-def _begin(copter: ArduPilot) -> None:
-    v, p = copter.v, copter.v.parameters
-    copter.landing = copter.mode == LAND
-    copter.stage = ""
-    copter.submode = ""
-    v.bodies.goal_moves[v.index] = 0.0
-    v.bodies.may_lift[v.index] = False
-    cruise(copter)
-    if not v.armed:
-        return
-    controller_goals.hold(v)
-    if copter.mode == AUTO:
-        copter.submode = "" if v.landed else "auto"
-    elif copter.mode == LAND:
-        rate = p["LAND_SPEED"] / 100.0 if v.now >= copter.descend_at else 0.0
-        controller_goals.descend(v, rate, steer=v.local_valid)
-
-
-def cruise(copter: ArduPilot) -> None:
-    """Set the speed limits of autonomous flight."""
-    p = copter.v.parameters
-    speeds = (p["WPNAV_SPEED"], p["WPNAV_SPEED_UP"], p["WPNAV_SPEED_DN"])
-    controller_goals.limits(copter.v, *(max(0.1, speed / 100.0) for speed in speeds))
-
-
-def arm(copter: ArduPilot, force: bool) -> int:
-    """Arm if the checks pass; return the MAV_RESULT."""
-    v = copter.v
-    if v.armed:
-        return ACCEPTED
-    reason = refusal(copter)
-    if not force:
-        if reason:
-            v.text(CRITICAL, reason)
-            return FAILED
-        if not MODES[copter.mode].armable:
-            v.text(CRITICAL, f"Arm: {MODES[copter.mode].name} mode not armable")
-            return FAILED
-    v.bodies.armed[v.index] = True
-    v.bodies.landed[v.index] = True
-    v.bodies.may_lift[v.index] = False
-    copter.idle_since = v.now
-    copter.has_flown = False
-    copter.submode = ""
-    set_home(copter)
-    v.text(INFO, "Arming motors")
-    v.environment.event("armed", v.system)
-    return ACCEPTED
-
-
-def disarm(copter: ArduPilot, reason: str) -> None:
-    """Stop the motors, on the ground or in flight."""
-    v = copter.v
-    if not v.armed:
-        return
-    v.bodies.armed[v.index] = False
-    v.bodies.landed[v.index] = True
-    copter.disarmed_at = v.now
-    v.bodies.goal_moves[v.index] = 0.0
-    controller_goals.idle(v)
-    copter.submode = ""
-    copter.landing = False
-    v.text(INFO, "Disarming motors")
-    v.environment.event("disarmed", v.system, reason=reason)
-
-
-def set_home(copter: ArduPilot) -> None:
-    """Set home where the vehicle arms; indoors too, once the estimator has an origin."""
-    v = copter.v
-    if v.global_valid or (v.environment.indoor and v.local_valid):
-        v.set_home_here()
-        streams.send_now(v, "GPS_GLOBAL_ORIGIN", "HOME_POSITION")
-
-
-def _land(copter: ArduPilot) -> None:
-    """Descend, faster above LAND_ALT_LOW over home; a failsafe's landing waits before it."""
-    v, p = copter.v, copter.v.parameters
-    if v.now < copter.descend_at:
-        return
-    home = v.home[2] if v.home is not None else v.origin[2]
-    high = float(v.estimated()[2] - home) > p["LAND_ALT_LOW"] / 100.0
-    rate = p["WPNAV_SPEED_DN"] if high else p["LAND_SPEED"]
-    v.bodies.set_climb_rate(v.index, -rate / 100.0)
-
-
-def _return(copter: ArduPilot) -> None:
-    """Climb, fly home, wait RTL_LOIT_TIME, land."""
-    v, p = copter.v, copter.v.parameters
-    if v.home is None:
-        return
-    here, home = v.estimated(), v.home
-    away = float(np.hypot(*(home - here)[:2]))
-    if copter.stage == "":
-        top = max(float(here[2]), float(home[2]) + p["RTL_ALT"] / 100.0)
-        copter.goal = np.array([here[0], here[1], top])
-        copter.stage = "climb"
-        controller_goals.go(v, copter.goal)
-    elif copter.stage == "climb" and here[2] > copter.goal[2] - 0.5:
-        copter.goal = np.array([home[0], home[1], copter.goal[2]])
-        copter.stage = "home"
-        controller_goals.go(v, copter.goal)
-    elif copter.stage == "home" and away < 0.5:
-        copter.stage, copter.stage_at = "wait", v.now
-    elif copter.stage == "wait" and v.now - copter.stage_at > p["RTL_LOIT_TIME"] / 1000.0:
-        copter.stage, copter.landing = "land", True
-        controller_goals.descend(v, p["LAND_SPEED"] / 100.0, steer=True)
-    elif copter.stage == "land":
-        _land(copter)
-
-
-def _guided(copter: ArduPilot) -> None:
-    """Stop when no setpoint has arrived for GUID_TIMEOUT."""
-    v = copter.v
-    if copter.submode not in {"posvel", "velocity", "acceleration"}:
-        return
-    if v.now - copter.setpoint_at > v.parameters["GUID_TIMEOUT"]:
-        b, i = v.bodies, v.index
-        b.goal_moves[i] = 0.0
-        goal = (*b.goal_position[i], *[0.0] * 6)
-        if copter.submode != "posvel":
-            goal = (*v.estimated(), *[0.0] * 6)
-        copter.submode = "stopped"
-        b.set_goal(i, goal)
-
-
-def _fly_mission(copter: ArduPilot) -> None:
-    v, p = copter.v, copter.v.parameters
-    if copter.submode != "auto":
-        return
-    if copter.stage == "land":
-        _land(copter)
-        return
-    result = mission_flight.steer(v, p["WPNAV_RADIUS"] / 100.0)
-    if result == RETURNING:
-        change(copter, RTL)
-    elif result == DONE:
-        v.mission_progress.restart()
-        copter.submode = "done"
-        controller_goals.hold(v)
-    elif result == LANDING:
-        copter.stage, copter.landing = "land", True
-        controller_goals.descend(v, p["LAND_SPEED"] / 100.0, steer=True)
-
-
-def steer(copter: ArduPilot) -> None:
-    """Update the goals of the active mode."""
-    step = _STEPS.get(copter.mode)
-    if step is not None:
-        step(copter)
-
-
-_STEPS = {GUIDED: _guided, RTL: _return, LAND: _land, AUTO: _fly_mission}
-
-
-_RADIO_IN_AUTO, _GCS_IN_AUTO, _RADIO_IN_GUIDED, _WHILE_LANDING, _GCS_WITH_PILOT = 1, 2, 4, 8, 16
-"""FS_OPTIONS: conditions in which a failsafe does not change the mode."""
-_RADIO_TIMEOUT = 1.0
-"""Seconds without pulses until a radio counts as lost: RC_FS_TIMEOUT's default; measured."""
-_ESTIMATOR_TIMEOUT = 8.0
-"""Seconds without a receiver until the estimator's variances are a failure: measured on 4.6.2.
-
-The dead reckoning failsafe (FS_DR_ENABLE) does not come before it: it needs an estimate of the
-wind (EK3_DRAG_BCOEF_X), which multicopters have only where somebody has measured their drag."""
-_FENCES = {ALTITUDE: "Max Alt", CIRCLE: "Circle", POLYGON: "Polygon"}
-
-
-def watch(copter: ArduPilot) -> None:
-    """Check all failsafes; called a few times a second while armed."""
-    v = copter.v
-    watch_ground_station(copter)
-    _watch_radio(copter)
-    _watch_fence(copter)
-    _watch_battery(copter)
-    if v.local_valid and v.global_valid:
-        copter.position_lost_at = None
-    elif not v.environment.indoor or not v.local_valid:
-        _watch_position(copter)
-
-
-def watch_ground_station(copter: ArduPilot) -> None:
-    """Detect the loss (FS_GCS_ENABLE) and return of the ground station, armed or not."""
-    v, p = copter.v, copter.v.parameters
-    latest = v.last_heartbeat.get(p.integer("SYSID_MYGCS"), -math.inf)
-    if v.now - latest <= p["FS_GCS_TIMEOUT"]:
-        copter.gcs_connected = True
-        if copter.gcs_lost:
-            copter.gcs_lost = False
-            v.text(WARNING, "GCS Failsafe Cleared")
-    elif copter.gcs_connected:
-        copter.gcs_connected = False
-        _ground_station_lost(copter)
-
-
-def _ground_station_lost(copter: ArduPilot) -> None:
-    v, p = copter.v, copter.v.parameters
-    action = GROUND_STATION_LOSS.get(p.integer("FS_GCS_ENABLE"))
-    if action is None:
-        return
-    copter.gcs_lost = True
-    if v.landed:
-        v.text(WARNING, "GCS Failsafe - Disarming" if v.armed else "GCS Failsafe")
-        disarm(copter, "ground station lost")
-        return
-    options = p.integer("FS_OPTIONS")
-    manual = not MODES[copter.mode].autonomous
-    if copter.mode == LAND:
-        return
-    if (copter.mode == AUTO and options & _GCS_IN_AUTO) or (manual and options & _GCS_WITH_PILOT):
-        kept = "Auto Mode" if copter.mode == AUTO else "Pilot Control"
-        v.text(WARNING, f"GCS Failsafe - Continuing {kept}")
-        return
-    v.text(WARNING, "GCS Failsafe")
-    fail_to(copter, action)
-
-
-def _watch_radio(copter: ArduPilot) -> None:
-    """Detect the loss of a pilot's radio that was connected (FS_THR_ENABLE, FS_OPTIONS)."""
-    v, p = copter.v, copter.v.parameters
-    if v.radio_connected:
-        copter.radio_known, copter.radio_lost_at, copter.radio_failed = True, None, False
-        return
-    if not copter.radio_known:
-        return
-    if copter.radio_lost_at is None:
-        copter.radio_lost_at = v.now
-    if v.now - copter.radio_lost_at < _RADIO_TIMEOUT:
-        return
-    copter.radio_known, copter.radio_failed = False, True
-    action = RADIO_LOSS.get(p.integer("FS_THR_ENABLE"), LAND)
-    options = p.integer("FS_OPTIONS")
-    if action is None:
-        return
-    if v.landed:
-        v.text(WARNING, "Radio Failsafe - Disarming")
-        disarm(copter, "radio failsafe")
-    elif copter.mode == LAND and (options & _WHILE_LANDING or copter.failsafe):
-        v.text(WARNING, "Radio Failsafe - Continuing Landing")
-    elif copter.mode == AUTO and options & _RADIO_IN_AUTO:
-        v.text(WARNING, "Radio Failsafe - Continuing Auto Mode")
-    elif copter.mode == GUIDED and options & _RADIO_IN_GUIDED:
-        v.text(WARNING, "Radio Failsafe - Continuing Guided Mode")
-    else:
-        v.text(WARNING, "Radio Failsafe")
-        fail_to(copter, action)
-
-
-def _watch_fence(copter: ArduPilot) -> None:
-    """Act when the vehicle leaves a fence (FENCE_ACTION)."""
-    v, p = copter.v, copter.v.parameters
-    outside = beyond_fence(copter)
-    fresh = outside & ~copter.outside_fences
-    copter.outside_fences = outside
-    if not fresh:
-        return
-    names = " and ".join(name for bit, name in _FENCES.items() if fresh & bit)
-    v.text(WARNING, f"{names} fence breached")
-    v.environment.event("fence", v.system)
-    action = FENCE.get(p.integer("FENCE_ACTION"))
-    if action is None:
-        return
-    if v.landed:
-        disarm(copter, "fence breached")
-    else:
-        fail_to(copter, action)
-
-
-def _watch_battery(copter: ArduPilot) -> None:
-    v, p = copter.v, copter.v.parameters
-    left = v.charge * p["BATT_CAPACITY"]
-    levels = (("LOW", "low"), ("CRT", "critical"))
-    for level, (key, word) in enumerate(levels, start=1):
-        volts, charge = p[f"BATT_{key}_VOLT"], p[f"BATT_{key}_MAH"]
-        if v.voltage >= volts and left >= charge:
-            copter.battery_low_at[level] = math.inf
-            continue
-        copter.battery_low_at[level] = since = min(v.now, copter.battery_low_at[level])
-        if level > copter.battery_level and v.now - since >= p["BATT_LOW_TIMER"]:
-            copter.battery_level = level
-            v.text(WARNING, f"Battery 1 is {word} {v.voltage:.2f}V used {5000 - left:.0f} mAh")
-            if not v.landed:
-                v.text(WARNING, "Battery Failsafe")
-            action = BATTERY.get(p.integer(f"BATT_FS_{key}_ACT"))
-            if action is not None and not v.landed:
-                fail_to(copter, action)
-
-
-def _watch_position(copter: ArduPilot) -> None:
-    """Without GPS: an estimator failure (FS_EKF_ACTION), once."""
-    v, p = copter.v, copter.v.parameters
-    if copter.position_lost_at is None:
-        copter.position_lost_at = v.now
-    timeout = 1.0 if not v.local_valid else _ESTIMATOR_TIMEOUT
-    if v.now - copter.position_lost_at > timeout and copter.mode != LAND:
-        copter.position_lost_at = math.inf
-        v.text(CRITICAL, "EKF variance")
-        if p.integer("FS_EKF_ACTION") in {1, 3} and not v.landed:
-            v.text(CRITICAL, "EKF Failsafe: changed to LAND Mode")
-            fail_to(copter, LAND)
+    def _follow(
+        self, mask: int, position: _Vector, velocity: _Vector, acceleration: _Vector
+    ) -> None:
+        v, b, i = self.v, self.v.bodies, self.v.index
+        zero = (0.0, 0.0, 0.0)
+        if mask & _ACCELERATION:
+            acceleration = zero
+        if not mask & _POSITION and not mask & _VELOCITY:
+            kind, ignored = "posvel", mask & _ACCELERATION
+            goal = (*position, *velocity, *acceleration)
+            axes = 1.0
+        elif not mask & _POSITION and mask & _ACCELERATION:
+            kind, ignored = "position", _VELOCITY | _ACCELERATION
+            goal, axes = (*position, *zero, *zero), 1.0
+        elif mask & _POSITION and not mask & _VELOCITY:
+            kind, ignored = "velocity", _POSITION | (mask & _ACCELERATION)
+            goal, axes = (*v.estimated(), *velocity, *acceleration), 0.0
+        elif mask & _POSITION and not mask & _ACCELERATION:
+            kind, ignored = "acceleration", _POSITION | _VELOCITY
+            goal, axes = (*v.estimated(), *zero, *acceleration), 0.0
         else:
-            v.text(CRITICAL, "EKF Failsafe")
+            kind, ignored = "velocity", _POSITION
+            goal, axes = (*v.estimated(), *zero, *zero), 0.0
+        if kind == self.submode == "posvel":
+            b.set_goal_values(i, goal)
+        else:
+            self.submode = kind
+            b.goal_moves[i] = 1.0 if kind == "posvel" else 0.0
+            hold = 0.0 if kind == "acceleration" else 1.0
+            b.set_goal(i, goal, (axes, axes, axes), (hold, hold, hold))
+        self.accepted_mask = ignored | (mask & _YAW_BITS)
 
+    def _in_world(self, s: wire.Setpoint) -> tuple[_Vector, _Vector, _Vector]:
+        """Return position, velocity and acceleration in world ENU, from any of the four frames."""
+        v = self.v
+        n, e, d, vn, ve, vd, an, ae, ad = s.values
+        if s.frame == _LOCAL:
+            place = v.to_world(n, e, d)
+        else:
+            x, y, z = v.estimated().tolist()
+            if s.frame in {_BODY, _BODY_OFFSET}:
+                yaw = math.pi / 2 - float(v.bodies.yaw[v.index])
+                cos, sin = math.cos(yaw), math.sin(yaw)
+                n, e = n * cos - e * sin, n * sin + e * cos
+                vn, ve = vn * cos - ve * sin, vn * sin + ve * cos
+                an, ae = an * cos - ae * sin, an * sin + ae * cos
+            place = (x + e, y + n, z - d)
+        return place, (ve, vn, -vd), (ae, an, -ad)
 
-_FORCE_ARM, _FORCE_DISARM = 2989, 21196
+    def refusal(self) -> str | None:
+        """Return why arming would fail now, None if it would succeed."""
+        v = self.v
+        needs_position = MODES[self.mode].position and not self.position_ok()
+        checks = (
+            (v.now - self.booted < _BASIC_READY, "Gyros not calibrated"),
+            (bool(v.refuse_arming), v.refuse_arming),
+            (needs_position, "Need Position Estimate"),
+            (bool(v.bodies.crashed[v.index]), "Motors: Check frame"),
+            (v.spec.radio and v.radio_lost, "Radio failsafe on"),
+            (self.gcs_lost, "GCS failsafe on"),
+            (bool(self.beyond_fence()), "Vehicle breaching fence"),
+            (self.battery_level > 0, "Battery 1 low voltage failsafe"),
+        )
+        return next((f"PreArm: {text}" for failed, text in checks if failed), None)
 
+    def beyond_fence(self) -> int:
+        """Return the fences (bits of FENCE_TYPE) that the vehicle is outside of."""
+        v, p = self.v, self.v.parameters
+        if not p.integer("FENCE_ENABLE") or not self.position_ok():
+            return 0
+        here, home = v.estimated(), v.home if v.home is not None else v.origin
+        found = 0
+        if here[2] - home[2] > p["FENCE_ALT_MAX"]:
+            found |= ALTITUDE
+        if math.hypot(here[0] - home[0], here[1] - home[1]) > p["FENCE_RADIUS"]:
+            found |= CIRCLE
+        if breached(v.fence, float(here[0]), float(here[1])):
+            found |= POLYGON
+        return found & p.integer("FENCE_TYPE")
 
-def _do_set_mode(copter: ArduPilot, command: Command) -> int:
-    p = command.p
-    return change(copter, int(p[1])) if int(p[0]) & 1 else DENIED
-
-
-def _arm_disarm(copter: ArduPilot, command: Command) -> int:
-    p = command.p
-    v = copter.v
-    if p[0] == 1.0:
-        return arm(copter, force=p[1] == _FORCE_ARM)
-    if p[0] != 0.0:
-        return DENIED
-    if not v.armed:
-        return ACCEPTED
-    if not v.landed and p[1] != _FORCE_DISARM:
-        return FAILED
-    disarm(copter, "command")
-    return ACCEPTED
-
-
-def _takeoff(copter: ArduPilot, command: Command) -> int:
-    p = command.p
-    v = copter.v
-    if copter.mode != GUIDED or not v.armed or not v.landed or not math.isfinite(p[6]):
-        return FAILED
-    if p[6] < 0.1:
-        return FAILED
-    copter.submode = "takeoff"
-    copter.takeoff_at = v.now
-    home = v.home if v.home is not None else v.origin
-    here = v.estimated()
-    copter.takeoff_height, copter.takeoff_from = float(home[2]) + p[6], float(here[2])
-    v.bodies.may_lift[v.index] = True
-    v.bodies.goal_moves[v.index] = 0.0
-    cruise(copter)
-    controller_goals.go(v, (here[0], here[1], max(copter.takeoff_height, float(here[2]))))
-    return ACCEPTED
-
-
-def _start_mission(copter: ArduPilot, _: Command) -> int:
-    """Start the mission, from the ground too, without arming."""
-    v = copter.v
-    if change(copter, AUTO) != ACCEPTED or not v.armed:
-        return FAILED
-    copter.submode = "auto"
-    v.bodies.may_lift[v.index] = True
-    steer(copter)
-    return ACCEPTED
-
-
-def _jump(copter: ArduPilot, command: Command) -> int:
-    number, v = command.p[0], copter.v
-    found = math.isfinite(number) and v.mission_progress.jump_to(int(number), len(v.mission[0]))
-    return ACCEPTED if found else DENIED
-
-
-def _enable_fence(copter: ArduPilot, command: Command) -> int:
-    if command.p[0] not in {0.0, 1.0}:
-        return DENIED
-    copter.v.parameters.values["FENCE_ENABLE"] = int(command.p[0])
-    return ACCEPTED
-
-
-def _command_land(copter: ArduPilot, _: Command) -> int:
-    return change(copter, LAND)
-
-
-def _command_return(copter: ArduPilot, _: Command) -> int:
-    return change(copter, RTL)
-
-
-def _reposition(copter: ArduPilot, command: Command) -> int:
-    p, x, y = command.p, command.x, command.y
-    v = copter.v
-    if not math.isfinite(p[6]) or x == 2**31 - 1 or y == 2**31 - 1:
-        return DENIED
-    if copter.mode != GUIDED:
-        if not int(p[1]) & 1:
-            return DENIED
-        if change(copter, GUIDED) != ACCEPTED:
+    def change(self, number: int, *, failsafe: bool = False) -> int:
+        """Change the mode, if it exists and can run; return the MAV_RESULT."""
+        v = self.v
+        if number not in MODES:
+            v.text(WARNING, f"No such mode {number}")
             return FAILED
-    if v.landed:
-        return FAILED
-    place = (
-        *v.environment.geodesy.metres(x * 1e-7, y * 1e-7),
-        p[6] - v.environment.geodesy.altitude,
-    )
-    cruise(copter)
-    copter.submode = "position"
-    controller_goals.go(v, place)
-    return ACCEPTED
+        mode = MODES[number]
+        if v.armed and mode.position and not self.position_ok():
+            v.text(WARNING, f"Mode change to {mode.name} failed: requires position")
+            return FAILED
+        if number == self.mode and not failsafe:
+            return ACCEPTED
+        if number == AUTO and not self._can_start_mission():
+            return FAILED
+        self.mode = number
+        self.failsafe = failsafe
+        self.descend_at = v.now + _LAND_PAUSE if failsafe and number == LAND else v.now
+        v.environment.event("mode", v.system, mode=mode.name, failsafe=failsafe)
+        self._begin()
+        return ACCEPTED
 
+    def fail_to(self, mode: int) -> None:
+        """Change the mode for a failsafe; the gripper opens too where FS_OPTIONS requires it."""
+        v = self.v
+        if v.parameters.integer("FS_OPTIONS") & _RELEASE_GRIPPER:
+            v.gripper.start(GripperRequest(v.now, grab=False))
+        if mode == RTL and (not self.position_ok() or v.home is None):
+            mode = LAND
+        self.change(mode, failsafe=True)
 
-def _speed(copter: ArduPilot, command: Command) -> int:
-    controller_goals.set_speed(copter.v, command.p[1])
-    return ACCEPTED
+    def _can_start_mission(self) -> bool:
+        """Return whether a mission exists that AUTO can start now."""
+        v = self.v
+        if len(v.mission[0]) <= 1:
+            v.text(WARNING, "Mode change to AUTO failed: init failed")
+            return False
+        if v.armed and v.landed and not starts_with_takeoff(v):
+            v.text(CRITICAL, "Auto: Missing Takeoff Cmd")
+            return False
+        return True
 
+    def _begin(self) -> None:
+        v, p = self.v, self.v.parameters
+        self.landing = self.mode == LAND
+        self.stage = ""
+        self.submode = ""
+        v.bodies.goal_moves[v.index] = 0.0
+        v.bodies.may_lift[v.index] = False
+        self.cruise()
+        if not v.armed:
+            return
+        v.hold()
+        if self.mode == AUTO:
+            self.submode = "" if v.landed else "auto"
+        elif self.mode == LAND:
+            rate = p["LAND_SPEED"] / 100.0 if v.now >= self.descend_at else 0.0
+            v.descend(rate, steer=v.local_valid)
 
-def _terminate(copter: ArduPilot, command: Command) -> int:
-    if command.p[0] > 0.5:
-        disarm(copter, "terminated")
-    return ACCEPTED
+    def cruise(self) -> None:
+        """Set the speed limits of autonomous flight."""
+        p = self.v.parameters
+        speeds = (p["WPNAV_SPEED"], p["WPNAV_SPEED_UP"], p["WPNAV_SPEED_DN"])
+        self.v.limit_speeds(*(max(0.1, speed / 100.0) for speed in speeds))
 
+    def refuse_arming(self) -> int | None:
+        """Return the MAV_RESULT of a refusal, after its text; None where the checks pass."""
+        reason = self.refusal()
+        if not (reason or MODES[self.mode].armable):
+            reason = f"Arm: {MODES[self.mode].name} mode not armable"
+        if reason:
+            self.v.text(CRITICAL, reason)
+        return FAILED if reason else None
 
-COMMANDS: dict[int, Callable[[ArduPilot, Command], int]] = {
-    dialect.MAV_CMD_COMPONENT_ARM_DISARM: _arm_disarm,
-    dialect.MAV_CMD_DO_SET_MODE: _do_set_mode,
-    dialect.MAV_CMD_NAV_TAKEOFF: _takeoff,
-    dialect.MAV_CMD_MISSION_START: _start_mission,
-    dialect.MAV_CMD_DO_SET_MISSION_CURRENT: _jump,
-    dialect.MAV_CMD_DO_FENCE_ENABLE: _enable_fence,
-    dialect.MAV_CMD_NAV_LAND: _command_land,
-    dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: _command_return,
-    dialect.MAV_CMD_DO_REPOSITION: _reposition,
-    dialect.MAV_CMD_DO_CHANGE_SPEED: _speed,
-    dialect.MAV_CMD_DO_FLIGHTTERMINATION: _terminate,
-}
+    def after_arming(self) -> None:
+        """Report that the motors are armed; they wait for a take-off."""
+        v = self.v
+        v.bodies.may_lift[v.index] = False
+        self.idle_since = v.now
+        self.submode = ""
+        self.set_home()
+        v.text(INFO, "Arming motors")
+        v.environment.event("armed", v.system)
 
+    def after_disarming(self, reason: str) -> None:
+        """Report that the motors are disarmed."""
+        self.disarmed_at = self.v.now
+        self.submode = ""
+        self.landing = False
+        self.v.text(INFO, "Disarming motors")
+        self.v.environment.event("disarmed", self.v.system, reason=reason)
 
-_SLOW_INTERVAL = 0.4
-_PREARM_INTERVAL = 30.0
-_CRASH_TIME = 2.0
-_ARMING_DELAY = 2.0
-"""Seconds after arming in which the motors do not turn."""
-_CHECK_INTERVAL = 1.0
-_ALIGNED_AFTER = 5.0
-"""Seconds of flight after which the estimator reports its heading as aligned."""
-_IDLE_TIME = 0.4
-"""Seconds on the ground after which the autopilot disarms when it has landed by itself."""
-_VERTICAL_INTEGRAL = 1.1
-"""Integral gain on the vertical velocity error, 1/s², over PSC_VELZ_P · PSC_ACCZ_I.
+    def set_home(self) -> None:
+        """Set home where the vehicle arms; indoors too, once the estimator has an origin."""
+        v = self.v
+        if v.global_valid or (v.environment.indoor and v.local_valid):
+            v.set_home_here()
+            send_now(v, "GPS_GLOBAL_ORIGIN", "HOME_POSITION")
 
-ArduCopter closes a loop on the measured acceleration; at a hover throttle of 0.39 its gains are
-1.26 and 2.5 /s, and the integral becomes 2.5 / (1 + 1.26)."""
+    def _land(self) -> None:
+        """Descend, faster above LAND_ALT_LOW over home; a failsafe's landing waits before it."""
+        v, p = self.v, self.v.parameters
+        if v.now < self.descend_at:
+            return
+        high = float(v.estimated()[2] - v.home_height()) > p["LAND_ALT_LOW"] / 100.0
+        rate = p["WPNAV_SPEED_DN"] if high else p["LAND_SPEED"]
+        v.bodies.set_climb_rate(v.index, -rate / 100.0)
+
+    def _return(self) -> None:
+        """Climb, fly home, wait RTL_LOIT_TIME, land."""
+        v, p = self.v, self.v.parameters
+        if v.home is None:
+            return
+        if self.stage == "wait":
+            if v.now - self.stage_at > p["RTL_LOIT_TIME"] / 1000.0:
+                self.begin_landing(p["LAND_SPEED"] / 100.0)
+        elif self.stage == "land":
+            self._land()
+        elif self.fly_home(max(float(v.estimated()[2]), float(v.home[2]) + p["RTL_ALT"] / 100.0)):
+            self.stage, self.stage_at = "wait", v.now
+
+    def _guided(self) -> None:
+        """Stop when no setpoint has arrived for GUID_TIMEOUT."""
+        v = self.v
+        if self.submode not in {"posvel", "velocity", "acceleration"}:
+            return
+        if v.now - self.setpoint_at > v.parameters["GUID_TIMEOUT"]:
+            b, i = v.bodies, v.index
+            b.goal_moves[i] = 0.0
+            goal = (*b.goal_position[i], *[0.0] * 6)
+            if self.submode != "posvel":
+                goal = (*v.estimated(), *[0.0] * 6)
+            self.submode = "stopped"
+            b.set_goal(i, goal)
+
+    def _fly_mission(self) -> None:
+        v, p = self.v, self.v.parameters
+        if self.submode != "auto":
+            return
+        if self.stage == "land":
+            self._land()
+            return
+        result = steer_mission(v, p["WPNAV_RADIUS"] / 100.0)
+        if result == RETURNING:
+            self.change(RTL)
+        elif result == DONE:
+            self.submode = "done"
+            v.hold()
+        elif result == LANDING:
+            self.begin_landing(p["LAND_SPEED"] / 100.0)
+
+    def steer(self) -> None:
+        """Update the goals of the active mode."""
+        if self.mode == GUIDED:
+            self._guided()
+        elif self.mode == RTL:
+            self._return()
+        elif self.mode == LAND:
+            self._land()
+        elif self.mode == AUTO:
+            self._fly_mission()
+
+    def watch(self) -> None:
+        """Check all failsafes; called a few times a second while armed."""
+        v = self.v
+        self.watch_ground_station()
+        self._watch_radio()
+        self._watch_fence()
+        self._watch_battery()
+        if v.local_valid and v.global_valid:
+            self.position_lost_at = None
+        elif not v.environment.indoor or not v.local_valid:
+            self._watch_position()
+
+    def watch_ground_station(self) -> None:
+        """Detect the loss (FS_GCS_ENABLE) and return of the ground station, armed or not."""
+        v, p = self.v, self.v.parameters
+        latest = v.last_heartbeat.get(p.integer("SYSID_MYGCS"), -math.inf)
+        if v.now - latest <= p["FS_GCS_TIMEOUT"]:
+            self.gcs_connected = True
+            if self.gcs_lost:
+                self.gcs_lost = False
+                v.text(WARNING, "GCS Failsafe Cleared")
+        elif self.gcs_connected:
+            self.gcs_connected = False
+            self._ground_station_lost()
+
+    def _ground_station_lost(self) -> None:
+        v, p = self.v, self.v.parameters
+        action = GROUND_STATION_LOSS.get(p.integer("FS_GCS_ENABLE"))
+        if action is None:
+            return
+        self.gcs_lost = True
+        if v.landed:
+            v.text(WARNING, "GCS Failsafe - Disarming" if v.armed else "GCS Failsafe")
+            self.disarm("ground station lost")
+            return
+        options = p.integer("FS_OPTIONS")
+        manual = not MODES[self.mode].autonomous
+        if self.mode == LAND:
+            return
+        if (self.mode == AUTO and options & _GCS_IN_AUTO) or (manual and options & _GCS_WITH_PILOT):
+            kept = "Auto Mode" if self.mode == AUTO else "Pilot Control"
+            v.text(WARNING, f"GCS Failsafe - Continuing {kept}")
+            return
+        v.text(WARNING, "GCS Failsafe")
+        self.fail_to(action)
+
+    def _watch_radio(self) -> None:
+        """Detect the loss of a pilot's radio that was connected (FS_THR_ENABLE, FS_OPTIONS)."""
+        v, p = self.v, self.v.parameters
+        if v.radio_connected:
+            self.radio_failed = False
+        if not self.radio_lost_for(_RADIO_TIMEOUT):
+            return
+        self.radio_failed = True
+        action = RADIO_LOSS.get(p.integer("FS_THR_ENABLE"), LAND)
+        options = p.integer("FS_OPTIONS")
+        if action is None:
+            return
+        if v.landed:
+            v.text(WARNING, "Radio Failsafe - Disarming")
+            self.disarm("radio failsafe")
+        elif self.mode == LAND and (options & _WHILE_LANDING or self.failsafe):
+            v.text(WARNING, "Radio Failsafe - Continuing Landing")
+        elif self.mode == AUTO and options & _RADIO_IN_AUTO:
+            v.text(WARNING, "Radio Failsafe - Continuing Auto Mode")
+        elif self.mode == GUIDED and options & _RADIO_IN_GUIDED:
+            v.text(WARNING, "Radio Failsafe - Continuing Guided Mode")
+        else:
+            v.text(WARNING, "Radio Failsafe")
+            self.fail_to(action)
+
+    def _watch_fence(self) -> None:
+        """Act when the vehicle leaves a fence (FENCE_ACTION)."""
+        v, p = self.v, self.v.parameters
+        outside = self.beyond_fence()
+        fresh = outside & ~self.outside_fences
+        self.outside_fences = outside
+        if not fresh:
+            return
+        names = " and ".join(name for bit, name in _FENCES.items() if fresh & bit)
+        v.text(WARNING, f"{names} fence breached")
+        v.environment.event("fence", v.system)
+        action = FENCE.get(p.integer("FENCE_ACTION"))
+        if action is None:
+            return
+        if v.landed:
+            self.disarm("fence breached")
+        else:
+            self.fail_to(action)
+
+    def _watch_battery(self) -> None:
+        v, p = self.v, self.v.parameters
+        left = v.charge * p["BATT_CAPACITY"]
+        levels = (("LOW", "low"), ("CRT", "critical"))
+        for level, (key, word) in enumerate(levels, start=1):
+            volts, charge = p[f"BATT_{key}_VOLT"], p[f"BATT_{key}_MAH"]
+            if v.voltage >= volts and left >= charge:
+                self.battery_low_at[level] = math.inf
+                continue
+            self.battery_low_at[level] = since = min(v.now, self.battery_low_at[level])
+            if level > self.battery_level and v.now - since >= p["BATT_LOW_TIMER"]:
+                self.battery_level = level
+                v.text(WARNING, f"Battery 1 is {word} {v.voltage:.2f}V used {5000 - left:.0f} mAh")
+                if not v.landed:
+                    v.text(WARNING, "Battery Failsafe")
+                action = BATTERY.get(p.integer(f"BATT_FS_{key}_ACT"))
+                if action is not None and not v.landed:
+                    self.fail_to(action)
+
+    def _watch_position(self) -> None:
+        """Without GPS: an estimator failure (FS_EKF_ACTION), once."""
+        v, p = self.v, self.v.parameters
+        if self.position_lost_at is None:
+            self.position_lost_at = v.now
+        timeout = 1.0 if not v.local_valid else _ESTIMATOR_TIMEOUT
+        if v.now - self.position_lost_at > timeout and self.mode != LAND:
+            self.position_lost_at = math.inf
+            v.text(CRITICAL, "EKF variance")
+            if p.integer("FS_EKF_ACTION") in {1, 3} and not v.landed:
+                v.text(CRITICAL, "EKF Failsafe: changed to LAND Mode")
+                self.fail_to(LAND)
+            else:
+                v.text(CRITICAL, "EKF Failsafe")
+
+    def _do_set_mode(self, command: Command) -> int:
+        p = command.p
+        return self.change(int(p[1])) if int(p[0]) & 1 else DENIED
+
+    def _arm_disarm(self, command: Command) -> int:
+        p = command.p
+        v = self.v
+        if p[0] == 1.0:
+            return self.arm(force=p[1] == _FORCE_ARM)
+        if p[0] != 0.0:
+            return DENIED
+        if not v.armed:
+            return ACCEPTED
+        if not v.landed and p[1] != _FORCE_DISARM:
+            return FAILED
+        self.disarm("command")
+        return ACCEPTED
+
+    def _takeoff(self, command: Command) -> int:
+        p = command.p
+        v = self.v
+        if self.mode != GUIDED or not v.armed or not v.landed or not math.isfinite(p[6]):
+            return FAILED
+        if p[6] < 0.1:
+            return FAILED
+        self.submode = "takeoff"
+        self.takeoff_at = v.now
+        here = v.estimated()
+        self.takeoff_height, self.takeoff_from = v.home_height() + p[6], float(here[2])
+        v.bodies.may_lift[v.index] = True
+        v.bodies.goal_moves[v.index] = 0.0
+        self.cruise()
+        v.go((here[0], here[1], max(self.takeoff_height, float(here[2]))))
+        return ACCEPTED
+
+    def _start_mission(self, _: Command) -> int:
+        """Start the mission, from the ground too, without arming."""
+        v = self.v
+        if self.change(AUTO) != ACCEPTED or not v.armed:
+            return FAILED
+        self.submode = "auto"
+        v.bodies.may_lift[v.index] = True
+        self.steer()
+        return ACCEPTED
+
+    def _enable_fence(self, command: Command) -> int:
+        if command.p[0] not in {0.0, 1.0}:
+            return DENIED
+        self.v.parameters.values["FENCE_ENABLE"] = int(command.p[0])
+        return ACCEPTED
+
+    def _command_land(self, _: Command) -> int:
+        return self.change(LAND)
+
+    def _command_return(self, _: Command) -> int:
+        return self.change(RTL)
+
+    def _reposition(self, command: Command) -> int:
+        v, p, x, y = self.v, command.p, command.x, command.y
+        if not math.isfinite(p[6]) or x == 2**31 - 1 or y == 2**31 - 1:
+            return DENIED
+        if self.mode != GUIDED:
+            if not int(p[1]) & 1:
+                return DENIED
+            if self.change(GUIDED) != ACCEPTED:
+                return FAILED
+        if v.landed:
+            return FAILED
+        place = (
+            *v.environment.geodesy.metres(x * 1e-7, y * 1e-7),
+            p[6] - v.environment.geodesy.altitude,
+        )
+        self.cruise()
+        self.submode = "position"
+        v.go(place)
+        return ACCEPTED
+
+    def _terminate(self, command: Command) -> int:
+        if command.p[0] > 0.5:
+            self.disarm("terminated")
+        return ACCEPTED
+
+    commands: ClassVar[Commands] = {
+        dialect.MAV_CMD_COMPONENT_ARM_DISARM: _arm_disarm,
+        dialect.MAV_CMD_DO_SET_MODE: _do_set_mode,
+        dialect.MAV_CMD_NAV_TAKEOFF: _takeoff,
+        dialect.MAV_CMD_MISSION_START: _start_mission,
+        dialect.MAV_CMD_DO_FENCE_ENABLE: _enable_fence,
+        dialect.MAV_CMD_NAV_LAND: _command_land,
+        dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: _command_return,
+        dialect.MAV_CMD_DO_REPOSITION: _reposition,
+        dialect.MAV_CMD_DO_FLIGHTTERMINATION: _terminate,
+    }

@@ -1,25 +1,26 @@
 """What an autopilot does besides flying: what is due, and handlers of ground stations' messages.
 
-Heartbeats, commands, streams, logs, file transfer, time, external positions, signing; missions are
-in `sitl.protocol.missions`, parameters in `sitl.protocol.parameter_protocol`.
-
-Commands that every autopilot executes, beside its own commands for flight.
+Heartbeats, commands that every autopilot executes, parameters, streams, logs, file transfer, time,
+external positions, signing; missions are in `sitl.autopilots.missions`.
 """
 
 import math
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 from pymavlink.dialects.v20 import common as dialect
 
-from sitl.autopilots import telemetry
+from sitl.autopilots import missions, telemetry
 from sitl.autopilots.ardupilot import DATA_STREAMS
-from sitl.autopilots.streams import default_streams, send_message
-from sitl.protocol import missions, parameter_protocol, wire
-from sitl.protocol.gripper import GripperRequest
-from sitl.protocol.links import ACCEPTED, DENIED, FAILED, IN_PROGRESS, UNSUPPORTED, Command, Link
-from sitl.protocol.vehicle import Vehicle, addressed, scaled_degrees
+from sitl.autopilots.telemetry import default_streams, send_message
+from sitl.protocol import wire
+from sitl.protocol.parameters import REAL32
+from sitl.protocol.vehicle import INFO, GripperRequest, Vehicle, addressed, scaled_degrees
+from sitl.protocol.wire import ACCEPTED, DENIED, FAILED, IN_PROGRESS, UNSUPPORTED, Command, Link
+from sitl.world import WorldError
 
 _LARGEST_RATE = 200.0
 _LONGEST_INTERVAL = 2000.0
@@ -45,7 +46,7 @@ def _request_message(v: Vehicle, command: Command) -> int:
     """
     name = str(_NAMES.get(int(command.p[0])))
     known = name in telemetry.MESSAGES
-    if v.spec.autopilot == "px4":
+    if v.is_px4:
         if name == "GPS_GLOBAL_ORIGIN":
             v.origin_announced_at = v.now
         return ACCEPTED if known and send_message(v, name, command.link) else DENIED
@@ -58,10 +59,9 @@ def _request_message(v: Vehicle, command: Command) -> int:
 
 def _set_interval(v: Vehicle, command: Command) -> int:
     name = _NAMES.get(int(command.p[0]))
-    px4 = v.spec.autopilot == "px4"
-    unsupported = name in (_NOT_PX4 if px4 else _NOT_ARDUPILOT)
+    unsupported = name in (_NOT_PX4 if v.is_px4 else _NOT_ARDUPILOT)
     if unsupported or name not in telemetry.MESSAGES or not math.isfinite(command.p[1]):
-        return FAILED if px4 else DENIED
+        return FAILED if v.is_px4 else DENIED
     if command.p[1] < 0:
         command.link.stream(name, None, v.now)
     elif command.p[1] == 0:
@@ -90,7 +90,7 @@ def _capabilities(v: Vehicle, command: Command) -> int:
 
 
 def _gripper(v: Vehicle, command: Command) -> int:
-    enabled = "PD_GRIPPER_EN" if v.spec.autopilot == "px4" else "GRIP_ENABLE"
+    enabled = "PD_GRIPPER_EN" if v.is_px4 else "GRIP_ENABLE"
     if v.spec.gripper != "mavlink" or not v.parameters[enabled]:
         return UNSUPPORTED
     if command.p[1] not in (0.0, 1.0):
@@ -98,7 +98,7 @@ def _gripper(v: Vehicle, command: Command) -> int:
     delay = float(v.rng.uniform(0.4, 0.7))
     sender = command.link, command.system, command.component
     v.gripper.start(GripperRequest(v.now + delay, command.p[1] == 1.0, *sender))
-    return IN_PROGRESS if v.spec.autopilot == "px4" else NO_ACK
+    return IN_PROGRESS if v.is_px4 else NO_ACK
 
 
 def _home(v: Vehicle, command: Command) -> int:
@@ -126,18 +126,29 @@ def _set_home(v: Vehicle, command: Command) -> int:
 
 
 def _inject(v: Vehicle, command: Command) -> int:
-    if v.spec.autopilot == "px4" and not v.parameters["SYS_FAILURE_EN"]:
+    if v.is_px4 and not v.parameters["SYS_FAILURE_EN"]:
         return DENIED
     numbers = [int(number) for number in command.p[:3]]
     known = v.inject is not None and v.inject(numbers[0], numbers[1], numbers[2])
     return ACCEPTED if known else UNSUPPORTED
 
 
+def _jump(v: Vehicle, command: Command) -> int:
+    number = command.p[0]
+    exists = math.isfinite(number) and v.mission_progress.jump_to(int(number), len(v.mission[0]))
+    return ACCEPTED if exists else DENIED
+
+
+def _set_speed(v: Vehicle, command: Command) -> int:
+    v.set_speed(command.p[1])
+    return ACCEPTED
+
+
 def _reboot(v: Vehicle, command: Command) -> int:
     if command.p[0] not in (1.0, 3.0):
         return ACCEPTED if command.p[0] == 0.0 else DENIED
     if v.armed:
-        return DENIED if v.spec.autopilot == "px4" else FAILED
+        return DENIED if v.is_px4 else FAILED
     v.timers.append((v.now + 0.2, v.reboot))
     return ACCEPTED
 
@@ -150,6 +161,8 @@ COMMANDS: dict[int, Callable[[Vehicle, Command], int]] = {
     dialect.MAV_CMD_DO_GRIPPER: _gripper,
     dialect.MAV_CMD_GET_HOME_POSITION: _home,
     dialect.MAV_CMD_DO_SET_HOME: _set_home,
+    dialect.MAV_CMD_DO_SET_MISSION_CURRENT: _jump,
+    dialect.MAV_CMD_DO_CHANGE_SPEED: _set_speed,
     _INJECT_FAILURE: _inject,
     dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
 }
@@ -171,7 +184,7 @@ def update(v: Vehicle, now: float) -> None:
     if v.gripper.pending:
         v.finish_gripper()
     if v.parameter_queue:
-        parameter_protocol.send_queued(v)
+        _send_queued(v)
     next_check = v.autopilot.update()
     if not (v.timers or v.gripper.pending or v.parameter_queue):
         v.next_check_at = next_check
@@ -186,7 +199,10 @@ def handle(v: Vehicle, message: Any, link: Link) -> None:
             v.autopilot.handle_setpoint(message)
         return
     v.next_check_at = -math.inf
-    handler = _HANDLERS.get(message.get_type())
+    name = message.get_type()
+    handler = _HANDLERS.get(name)
+    if handler is None and name in _ADDRESSED and addressed(v, message):
+        handler = _ADDRESSED[name]
     if handler is not None:
         handler(v, message, link)
 
@@ -197,16 +213,14 @@ def _heartbeat(v: Vehicle, message: Any, _: Link) -> None:
 
 
 def _command_long(v: Vehicle, message: Any, link: Link) -> None:
-    if addressed(v, message):
-        p = [getattr(message, f"param{k}") for k in range(1, 8)]
-        _command(v, message, p, (scaled_degrees(p[4]), scaled_degrees(p[5])), link)
+    p = [getattr(message, f"param{k}") for k in range(1, 8)]
+    _command(v, message, p, (scaled_degrees(p[4]), scaled_degrees(p[5])), link)
 
 
 def _command_int(v: Vehicle, message: Any, link: Link) -> None:
-    if addressed(v, message):
-        x, y = message.x, message.y
-        p = [getattr(message, f"param{k}") for k in range(1, 5)]
-        _command(v, message, [*p, x * 1e-7, y * 1e-7, message.z], (x, y), link)
+    x, y = message.x, message.y
+    p = [getattr(message, f"param{k}") for k in range(1, 5)]
+    _command(v, message, [*p, x * 1e-7, y * 1e-7, message.z], (x, y), link)
 
 
 def _command(v: Vehicle, message: Any, p: list[float], xy: tuple[int, int], link: Link) -> None:
@@ -221,45 +235,30 @@ def _command(v: Vehicle, message: Any, p: list[float], xy: tuple[int, int], link
         result = UNSUPPORTED
     if result != NO_ACK:
         v.acknowledge(number, result, link, *sender)
-        if number == dialect.MAV_CMD_DO_SET_MODE and v.spec.autopilot == "px4":
+        if number == dialect.MAV_CMD_DO_SET_MODE and v.is_px4:
             v.acknowledge(number, result, link, *sender)
 
 
 def _set_mode(v: Vehicle, message: Any, link: Link) -> None:
     if message.target_system == v.system:
         result = v.autopilot.set_mode(message.base_mode, message.custom_mode)
-        v.acknowledge(
-            dialect.MAVLINK_MSG_ID_SET_MODE,
-            result,
-            link,
-            message.get_srcSystem(),
-            message.get_srcComponent(),
-        )
+        v.answer("COMMAND_ACK", message, link, command=message.get_msgId(), result=result)
 
 
-def _log_list(v: Vehicle, message: Any, link: Link) -> None:
-    if addressed(v, message):
-        v.send("LOG_ENTRY", link)
+def _log_list(v: Vehicle, _: Any, link: Link) -> None:
+    v.send("LOG_ENTRY", link)
 
 
 _FTP_NAK, _FTP_FAIL = 129, 1
 
 
 def _file_transfer(v: Vehicle, message: Any, link: Link) -> None:
-    if not addressed(v, message):
-        return
     request = list(message.payload)
     answer = [0] * 251
     sequence = (request[0] | request[1] << 8) + 1
     answer[0], answer[1] = sequence & 0xFF, sequence >> 8 & 0xFF
     answer[3], answer[4], answer[5], answer[12] = _FTP_NAK, 1, request[3], _FTP_FAIL
-    v.send(
-        "FILE_TRANSFER_PROTOCOL",
-        link,
-        target_system=message.get_srcSystem(),
-        target_component=message.get_srcComponent(),
-        payload=answer,
-    )
+    v.answer("FILE_TRANSFER_PROTOCOL", message, link, payload=answer)
 
 
 def _timesync(v: Vehicle, message: Any, link: Link) -> None:
@@ -269,19 +268,12 @@ def _timesync(v: Vehicle, message: Any, link: Link) -> None:
 
 def _ping(v: Vehicle, message: Any, link: Link) -> None:
     if message.target_system == 0:
-        v.send(
-            "PING",
-            link,
-            time_usec=message.time_usec,
-            seq=message.seq,
-            target_system=message.get_srcSystem(),
-            target_component=message.get_srcComponent(),
-        )
+        v.answer("PING", message, link, time_usec=message.time_usec, seq=message.seq)
 
 
 def _set_origin(v: Vehicle, message: Any, link: Link) -> None:
     """Set the origin of PX4's estimator; ArduPilot keeps an origin that it already has."""
-    if message.target_system not in {0, v.system} or v.spec.autopilot == "ardupilot":
+    if message.target_system not in {0, v.system} or not v.is_px4:
         return
     if abs(message.latitude) > 900_000_000 or abs(message.longitude) > 1_800_000_000:
         return
@@ -312,7 +304,7 @@ def _vision(v: Vehicle, message: Any, _: Link) -> None:
 
 
 def _data_stream(v: Vehicle, message: Any, link: Link) -> None:
-    if not addressed(v, message) or v.spec.autopilot != "ardupilot":
+    if v.is_px4:
         return
     for name in DATA_STREAMS.get(message.req_stream_id, ()):
         rate = min(message.req_message_rate, 50)
@@ -323,7 +315,7 @@ def _data_stream(v: Vehicle, message: Any, link: Link) -> None:
 def _global_setpoint(v: Vehicle, message: Any, _: Link) -> None:
     """Convert a setpoint in degrees, above the sea or above home, to a local one."""
     m = message
-    if not addressed(v, m) or m.coordinate_frame not in {*_ABOVE_SEA, *_ABOVE_HOME}:
+    if m.coordinate_frame not in {*_ABOVE_SEA, *_ABOVE_HOME}:
         return
     if not v.global_valid or v.home is None:
         return
@@ -354,21 +346,151 @@ def _setup_signing(v: Vehicle, message: Any, link: Link) -> None:
         link.sender.signer = None
 
 
+def start_with_given(vehicles: Iterable[Vehicle]) -> None:
+    """Set the parameters of the world's vehicles, but those of real firmware, which reads them.
+
+    Raises `WorldError` with every parameter that the emulated autopilot does not have, and every
+    value with a fraction for an integer parameter.
+    """
+    errors: list[str] = []
+    for vehicle in vehicles:
+        for name, value in ({} if vehicle.frozen else vehicle.spec.parameters).items():
+            place = f"vehicle {vehicle.system}: parameters.{name}"
+            if name not in vehicle.parameters.values:
+                kind = vehicle.spec.autopilot
+                errors.append(
+                    f"{place}: expected a parameter of the emulated {kind}, got an unknown one"
+                )
+            elif vehicle.parameters.kinds[name] == REAL32:
+                set_parameter(vehicle, name, value)
+            elif value == round(value):
+                set_parameter(vehicle, name, round(value))
+            else:
+                errors.append(f"{place}: expected an integer, got {value:g}")
+    if errors:
+        raise WorldError("\n".join(errors))
+
+
+PARAMETERS_PER_UPDATE = 20
+"""PARAM_VALUE messages per update of the autopilot, 25 times a second."""
+_BANNER = "ArduCopter V4.6.2 (1a132e4b)"
+
+
+_HASH, _UINT32 = "_HASH_CHECK", 5
+_NO_INDEX = 65535
+
+
+def _send_parameter(v: Vehicle, link: Link, name: str, *, by_name: bool = True) -> None:
+    """Send PARAM_VALUE; ArduPilot omits the index after a request ``by_name`` or a change."""
+    p = v.parameters
+    index = _NO_INDEX if by_name and not v.is_px4 else p.indices[name]
+    _send(v, link, name, p.encode(name), p.kinds[name], index)
+
+
+def _send_hash(v: Vehicle, link: Link) -> None:
+    """Send PX4's checksum of all parameters; clients compare it with their cached list."""
+    p = v.parameters
+    contents = b"".join(name.encode() + p.encode(name) for name in p.names)
+    value = zlib.crc32(contents).to_bytes(4, "little")
+    _send(v, link, _HASH, value, _UINT32, _NO_INDEX)
+
+
+def _send(v: Vehicle, link: Link, name: str, value: bytes, kind: int, index: int) -> None:
+    body = (
+        value
+        + len(v.parameters.names).to_bytes(2, "little")
+        + index.to_bytes(2, "little")
+        + name.encode().ljust(16, b"\0")
+        + bytes([kind])
+    )
+    layout = wire.LAYOUTS["PARAM_VALUE"]
+    ticks = v.signing_ticks()
+    link.outgoing.append(link.sender.frame(layout.number, body, layout.seed, ticks))
+
+
+def _param_list(v: Vehicle, _: Any, link: Link) -> None:
+    if v.is_px4:
+        _send_hash(v, link)
+    else:
+        for text in (_BANNER, f"emulated {v.system:03}", "Frame: QUAD/PLUS"):
+            v.text(INFO, text)
+    v.parameter_queue = [entry for entry in v.parameter_queue if entry[0] is not link]
+    v.parameter_queue += [(link, k) for k in range(len(v.parameters.names))]
+
+
+def _send_queued(v: Vehicle) -> None:
+    """Send the next parameters of the requested lists."""
+    for link, index in v.parameter_queue[:PARAMETERS_PER_UPDATE]:
+        _send_parameter(v, link, v.parameters.names[index], by_name=False)
+    del v.parameter_queue[:PARAMETERS_PER_UPDATE]
+
+
+def _name(text: Any) -> str:
+    raw = text.encode("utf-8", "replace") if isinstance(text, str) else bytes(text)
+    return raw.split(b"\0")[0].decode("ascii", "replace")
+
+
+def _param_read(v: Vehicle, message: Any, link: Link) -> None:
+    p = v.parameters
+    if message.param_index >= 0:
+        if message.param_index < len(p.names):
+            _send_parameter(v, link, p.names[message.param_index], by_name=False)
+        return
+    name = _name(message.param_id)
+    if name in p.values:
+        _send_parameter(v, link, name)
+    elif name == _HASH and v.is_px4:
+        _send_hash(v, link)
+
+
+def set_parameter(v: Vehicle, name: str, value: float) -> None:
+    """Set a parameter that the vehicle has; its autopilot and injected faults follow.
+
+    A value that describes no possible fault is not taken.
+    """
+    before, v.parameters.values[name] = v.parameters.values[name], value
+    v.autopilot.parameter_changed(name)
+    if name.startswith("SIM_") and v.on_sim_parameter is not None:
+        try:
+            v.on_sim_parameter(name, v.parameters.values)
+        except ValidationError:
+            v.parameters.values[name] = before
+            v.on_sim_parameter(name, v.parameters.values)
+
+
+def _param_set(v: Vehicle, message: Any, _: Link) -> None:
+    name = _name(message.param_id)
+    p = v.parameters
+    if name not in p.values:
+        return
+    body = bytes(message.get_msgbuf())[10:]
+    value = p.decode(name, body[:4].ljust(4, b"\0"), message.param_type)
+    if value is not None:
+        set_parameter(v, name, value)
+    for target in v.links:
+        _send_parameter(v, target, name)
+
+
 _HANDLERS: dict[str, Callable[[Vehicle, Any, Link], None]] = {
-    **missions.HANDLERS,
-    **parameter_protocol.HANDLERS,
     "HEARTBEAT": _heartbeat,
-    "COMMAND_LONG": _command_long,
-    "COMMAND_INT": _command_int,
     "SET_MODE": _set_mode,
-    "LOG_REQUEST_LIST": _log_list,
-    "FILE_TRANSFER_PROTOCOL": _file_transfer,
     "TIMESYNC": _timesync,
     "PING": _ping,
     "SET_GPS_GLOBAL_ORIGIN": _set_origin,
     "VISION_POSITION_ESTIMATE": _vision,
     "ODOMETRY": _vision,
-    "REQUEST_DATA_STREAM": _data_stream,
     "SETUP_SIGNING": _setup_signing,
+}
+_ADDRESSED: dict[str, Callable[[Vehicle, Any, Link], None]] = {
+    **missions.HANDLERS,
+    "PARAM_REQUEST_LIST": _param_list,
+    "PARAM_REQUEST_READ": _param_read,
+    "PARAM_SET": _param_set,
+    "COMMAND_LONG": _command_long,
+    "COMMAND_INT": _command_int,
+    "LOG_REQUEST_LIST": _log_list,
+    "FILE_TRANSFER_PROTOCOL": _file_transfer,
+    "REQUEST_DATA_STREAM": _data_stream,
     "SET_POSITION_TARGET_GLOBAL_INT": _global_setpoint,
 }
+"""Handlers of messages with a target: only those for this vehicle's autopilot."""

@@ -1,6 +1,6 @@
 """The cable with inertia: one chain of masses, held at some arc lengths, that swings and falls.
 
-It has the interface of :class:`sitl.cable.rope.Rope`, whose cable follows statics. Held nodes have
+`sitl.cable.rope` is the cable that follows statics. Held nodes have
 the masses of their vehicles: chain and vehicles are advanced together over a step, and the mean
 force of that step then acts on the vehicles in theirs, so that the momentum that one loses is what
 the other gains. Grip points that turn about their vehicles drift along.
@@ -19,19 +19,16 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sitl.cable.grips import SPACING, FreeMotion, caught, nearest_free, slid
+from sitl.cable.grips import Cable, FreeMotion
 from sitl.cable.rope import CYLINDER_DRAG, Rope
-from sitl.physics.dynamics import STEP
+from sitl.physics.dynamics import STEP, Array
 from sitl.physics.geodesy import GRAVITY
 from sitl.physics.motion import AIR_DENSITY
 from sitl.world import CableSpec
 from swarm.geometry.lumped_mass import solve_tridiagonal
 from swarm.jit import allocates, compiled, inner
 from swarm.signatures import Bools1, Floats1, Floats2
-
-Array = NDArray[np.float64]
 
 _ITERATIONS = 4
 """Largest number of Newton steps per time step: slack links may join after the first."""
@@ -345,31 +342,23 @@ class SpanState:
     length: Array
 
 
-class SwingingRope:
-    """State of the cable: grips, breaks, the chain, and its positions at the samples.
+class SwingingRope(Cable):
+    """State of the cable with inertia: a chain.
 
-    ``grips`` are (arc length, holder) in order, ``shape`` (m, 3) the samples at ``arc`` (m,).
     ``force_interval`` is 1: the chain advances with each call of `forces`, by one `STEP`.
     """
 
     force_interval = 1
 
     def __init__(self, spec: CableSpec, floor: float, wind: Array) -> None:
-        self.spec = spec
-        points = np.array(spec.points, dtype=float)
-        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        along = np.concatenate([[0.0], np.cumsum(steps)])
-        self.length = float(along[-1])
-        self.floor = floor
-        self.arc = np.linspace(0.0, self.length, max(2, int(np.ceil(self.length / SPACING)) + 1))
-        self.grips: list[tuple[float, int]] = []
-        self.breaks: list[float] = []
+        super().__init__(spec, floor)
         self._spec = _chain_spec(spec, floor)
         self._offsets: dict[int, Array] = {}
         self._grips = np.zeros((0, 3))
+        points = self.initial
         points[:, 2] = np.maximum(points[:, 2], self._spec.floor)
         self._wind = np.asarray(wind, dtype=float)
-        self._place_nodes(self._node_arcs(), along, points, np.zeros_like(points))
+        self._place_nodes(self._node_arcs(), self.along, points, np.zeros_like(points))
 
     def set_wind(self, wind: Array) -> None:
         """Set the steady wind (m/s, ENU) along the whole cable."""
@@ -392,13 +381,6 @@ class SwingingRope:
         self._chain.air[:] = self._wind
         self._chain.air[:, 2] -= np.interp(self._nodes, arc, felt.max(axis=1))
 
-    def grab(self, vehicle: int, grip_point: Array) -> float | None:
-        """Close a gripper; return the arc length that it holds, None if no cable is in reach."""
-        arc = caught(self.grips, self.arc, self.shape, grip_point)
-        if arc is not None:
-            self.attach(vehicle, arc, grip_point)
-        return arc
-
     def attach(self, vehicle: int, arc: float, grip_point: Array | None = None) -> None:
         """Attach the cable to a holder at an arc length.
 
@@ -406,27 +388,14 @@ class SwingingRope:
         """
         if grip_point is not None:
             self._offsets[vehicle] = self.position_at(arc) - grip_point
-        self.grips = sorted([*self.grips, (arc, vehicle)])
-        self._rebuild()
+        super().attach(vehicle, arc)
 
     def release(self, vehicle: int) -> bool:
         """Detach the cable from a holder; return whether it was attached."""
-        kept = [grip for grip in self.grips if grip[1] != vehicle]
-        if len(kept) == len(self.grips):
-            return False
-        self.grips = kept
-        self._offsets.pop(vehicle, None)
-        self._rebuild()
-        return True
-
-    def slide(self, vehicle: int, distance: float) -> None:
-        """Move a grip along the cable, at most to its neighbours, a break or the cable's ends."""
-        self.grips = slid(self.grips, vehicle, distance, [0.0, *self.breaks, self.length])
-        self._rebuild()
-
-    def nearest_free(self, arc: float) -> float:
-        """Return the arc length nearest to ``arc`` that is at least SPACING from all grips."""
-        return nearest_free(self.grips, self.arc, arc)
+        released = super().release(vehicle)
+        if released:
+            self._offsets.pop(vehicle, None)
+        return released
 
     def position_at(self, arc: float) -> Array:
         """Return the position (3,) of the cable at an arc length."""

@@ -16,18 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 from fastcrc import crc16
-from numpy.typing import NDArray
 
-from sitl.firmware import positioning, sensors
-from sitl.firmware.process import Launch, Need, Start
-from sitl.firmware.selection import PX4_PROGRAM
+from sitl.firmware import processes, sensors
+from sitl.firmware.processes import PX4_PROGRAM, Launch, Need, Start
 from sitl.firmware.sensors import Fix, SensorFaults
-from sitl.physics.dynamics import STEP
+from sitl.physics.dynamics import STEP, Array
 from sitl.physics.geodesy import Geodesy
 from sitl.physics.rigid_bodies import MOTORS, SUBSTEPS
 from sitl.protocol import wire
-
-Array = NDArray[np.float64]
 
 PORT = 4560
 """TCP port of instance 0's simulator; instance i connects to the i-th after it."""
@@ -116,9 +112,9 @@ class Stream:
             if int.from_bytes(buffer[start + 7 : start + 10], "little") != _CONTROLS.number:
                 start = end
                 continue
-            found = _outputs(buffer[start:end])
-            latest = found or latest
-            start = end if found else start + 1
+            outputs = _outputs(buffer[start:end])
+            latest = outputs or latest
+            start = end if outputs else start + 1
         self._buffer = buffer[start:]
         return latest
 
@@ -145,7 +141,7 @@ _PARAMETERS: dict[str, float] = {
     "IMU_INTEG_RATE": 200,  # the rate of the sensor values
     "THR_MDL_FAC": 0.65,  # the curve of `sitl.physics.rigid_bodies`
     "MPC_THR_HOVER": 0.39,  # weight over full thrust of the default vehicle
-    # Tuned for the default vehicle, as every real one must be: see ArduPilot's in `process`.
+    # Tuned for the default vehicle, as every real one must be: see ArduPilot's.
     "MC_ROLL_P": 8,
     "MC_PITCH_P": 8,
     "MC_ROLLRATE_P": 0.33,
@@ -186,7 +182,7 @@ def launch_px4(start: Start, radius: float) -> Launch:
     build, instance = start.binary, start.instance
     values = (
         _PARAMETERS
-        | positioning.parameters("px4", start.positioning, start.capture)
+        | processes.position_parameters("px4", start.positioning, start.capture)
         | _rotors(radius)
         | (_GRIPPER_PARAMETERS if start.gripper else {})
     )
@@ -196,7 +192,7 @@ def launch_px4(start: Start, radius: float) -> Launch:
         {"px4-rc.mavlink": _links(start)},
         [
             Need("TCP", PORT + instance, "127.0.0.1"),
-            *(Need("UDP", one + instance) for one in (_OWN if start.target is None else [_LOCAL])),
+            *(Need("UDP", at + instance) for at in (_OWN if start.target is None else [_LOCAL])),
         ],
         {
             "PX4_SIM_MODEL": "none_iris",
@@ -242,8 +238,8 @@ _GRIPPER, _HALF = 4, 0.5
 _LARGEST = 65536
 
 
-class Px4Port:
-    """One autopilot's connection and its latest outputs; a `sitl.firmware.team.Port`.
+class Px4Port(processes.Port):
+    """One PX4's connection and its latest outputs.
 
     ``silent``: PX4 has not answered in time, or has not started its outputs yet. It gets sensor
     values all the same, because its time stands still without them.
@@ -264,10 +260,8 @@ class Px4Port:
         ``faults`` returns what is wrong with the vehicle's sensors now; without ``receiver`` it has
         none for satellites.
         """
-        self.row = row
+        super().__init__(row)
         self._faults = faults
-        self.fresh, self.silent, self.ended = False, True, False
-        self.command = np.zeros(MOTORS)
         self._outputs = Outputs(0, (0.0,) * 16, armed=False)
         self._geodesy, self._rng = geodesy, rng
         self._field = sensors.magnetic_field(geodesy.latitude, geodesy.longitude, geodesy.altitude)
@@ -359,8 +353,7 @@ class Px4Port:
 
     def end(self) -> None:
         """Note that the process has ended: motors stop, and the gripper stays as it is."""
-        self.ended = self.silent = True
-        self.command = np.zeros(MOTORS)
+        super().end()
         self._outputs = Outputs(0, (0.0,) * 16, armed=False)
 
     def grip(self) -> bool | None:

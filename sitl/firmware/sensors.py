@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pygeomag import GeoMag
 
+from sitl.physics.dynamics import Array
 from sitl.physics.geodesy import Geodesy
-
-Array = NDArray[np.float64]
 
 INERTIAL_NOISE = np.array([0.03, 0.03, 0.03, 0.003, 0.003, 0.003])
 """Standard deviation of one sample: m/s² and rad/s. 0.002 m/s²/√Hz and 0.0002 rad/s/√Hz, as of
@@ -73,10 +71,10 @@ RTK = Receiver(level=0.008, height=0.012, speed=0.03, kind=6, interval=0.1)
 
 def magnetic_field(latitude: float, longitude: float, altitude: float) -> Array:
     """Return the Earth's magnetic field (3,) in gauss, ENU, at a place in degrees and metres."""
-    found = GeoMag(coefficients_file=_MODEL).calculate(
+    field = GeoMag(coefficients_file=_MODEL).calculate(
         glat=latitude, glon=longitude, alt=altitude / 1000.0, time=_YEAR
     )
-    return 1e-5 * np.array([found.y, found.x, -found.z])
+    return 1e-5 * np.array([field.y, field.x, -field.z])
 
 
 def in_body(attitude: Array, vector: Array) -> Array:

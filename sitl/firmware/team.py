@@ -9,60 +9,29 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sitl.emulator import Emulator
-from sitl.firmware import process
-from sitl.firmware.ardupilot import ArduPilotPort
-from sitl.firmware.positioning import Positioning
-from sitl.firmware.process import Launch, Need, Processes, Start
+from sitl.firmware import ardupilot
+from sitl.firmware.processes import (
+    Firmware,
+    FirmwareError,
+    Launch,
+    Need,
+    Port,
+    Positioning,
+    Processes,
+    Start,
+)  # fmt: skip
 from sitl.firmware.px4 import Px4Port, connect_all, launch_px4
-from sitl.firmware.selection import Firmware, FirmwareError
 from sitl.firmware.sensors import SensorFaults
 from sitl.physics.dynamics import STEP
 from sitl.physics.rigid_bodies import MOTORS, SUBSTEPS, RigidBodies
 from sitl.protocol.vehicle import Vehicle
 
-Array = NDArray[np.float64]
-
 _PATIENCE = 1.0
 """Seconds of real time that the world waits for an autopilot; then its outputs stay as they are."""
-
-
-class Port(Protocol):
-    """One autopilot's connection and its latest outputs.
-
-    ``row`` is that of its rigid body; ``command`` (4,) are its motors between 0 and 1; ``fresh``:
-    they answer the latest sensor values; ``silent``: none came in time, because it has not booted
-    or its process has ended, so the world does not wait for it; ``ended``: none will come.
-    """
-
-    row: int
-    fresh: bool
-    silent: bool
-    ended: bool
-    command: Array
-
-    def fileno(self) -> int:
-        """Return the descriptor to wait at."""
-
-    def receive(self) -> None:
-        """Take what has come."""
-
-    def answer(self, at: float, state: Array, measured: Array) -> None:
-        """Send what the vehicle measures at ``at`` seconds, if it is expected."""
-
-    def end(self) -> None:
-        """Note that the process has ended: its outputs are off."""
-
-    def grip(self) -> bool | None:
-        """Return whether the gripper shall close (True) or open (False); None: stay."""
-
-    def close(self) -> None:
-        """Close the sockets."""
 
 
 class Exchange:
@@ -170,7 +139,7 @@ def flying(
         if folder is None:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="firmware")))
         ports: list[Port] = []
-        flown = [one for one in emulator.vehicles if one.system in firmware]
+        flown = [vehicle for vehicle in emulator.vehicles if vehicle.system in firmware]
         starts = [
             Start(
                 binary=firmware[vehicle.system].program,
@@ -229,7 +198,7 @@ def _port(emulator: Emulator, vehicle: Vehicle, row: int, start: Start) -> Port:
     """Open the socket of a vehicle's autopilot."""
     if vehicle.spec.autopilot == "ardupilot":
         scale = emulator.environment.geodesy.scale(vehicle.spec.autopilot)
-        return ArduPilotPort(row, start.physics, scale)
+        return ardupilot.ArduPilotPort(row, ardupilot.physics_port(start), scale)
     rng = np.random.default_rng([emulator.world.seed, vehicle.system])
     receiver = start.positioning != "mocap"
     geodesy, faults = emulator.environment.geodesy, _faults_of(vehicle)
@@ -252,7 +221,7 @@ def _faults_of(vehicle: Vehicle) -> Callable[[], SensorFaults]:
 
 def _launch(emulator: Emulator, vehicle: Vehicle, start: Start) -> Launch:
     if vehicle.spec.autopilot == "ardupilot":
-        return process.launch(start, emulator.world.origin)
+        return ardupilot.launch(start, emulator.world.origin)
     return launch_px4(start, vehicle.spec.radius)
 
 

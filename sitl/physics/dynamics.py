@@ -1,4 +1,4 @@
-"""Point-mass vehicles in one batch: controller, thrust lag, drag, ground, estimator errors.
+"""Point-mass vehicles in one batch: controller, thrust, drag, landing, estimator errors, wind.
 
 Model. The motors give a specific thrust ``f`` (m/s²) that follows the commanded one as a
 second-order system (attitude loop and motors together, natural frequency 14 rad/s); then
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.physics import motion, wind
+from sitl.physics import motion
 from sitl.physics.geodesy import GRAVITY
 from sitl.world import World
 
@@ -38,6 +38,18 @@ NOISE_SIGMA = np.array([0.015, 0.015, 0.02])
 """Standard deviation of the estimator's noise, metres."""
 _DISTURBANCE_TIME = 2.0
 """Correlation time of disturbances, seconds."""
+
+
+_YAW_RATE = 1.0
+_RAMP_OVER = 2.0
+"""Seconds of lift after which the take-off ramp is over."""
+_CLIMBING = 0.25
+_LOW_THRUST = 0.7 * GRAVITY
+_TUMBLE_RATE = 5.0
+_WASH_FACTOR = 3.0
+"""Effect of downwash, relative to its drag: rotors lose thrust in descending air, as in a climb."""
+_GUST_LENGTH = 30.0
+"""Scale length of gusts, metres."""
 
 
 class Rows(NamedTuple):
@@ -61,7 +73,7 @@ class Bodies:
     directly, then call `refresh`. `step` advances all vehicles by `STEP` seconds.
 
     Flags (n,): ``may_lift`` permits a take-off, ``all_cruising`` says that no vehicle needs
-    `sitl.physics.landing`, ``outside`` are vehicles that `sitl.physics.rigid_bodies` moves,
+    `Bodies.supervise`, ``outside`` are vehicles that `sitl.physics.rigid_bodies` moves,
     ``goal_moves`` is 1 where the goal moves with its velocity. Times in
     seconds (n,): since arming (``armed_time``), since the start of lift (``lift_time``), with the
     condition of a landing (``landing_time``); until lift (``spool_time``), full thrust
@@ -324,11 +336,11 @@ class Bodies:
             random[: self.count] = self.rng.standard_normal((self.count, 3))
         if self.gust_intensity > 0:
             random[self.count :] = self.rng.standard_normal((self.count + 1, 3))
-            gust_keep = wind.gust_persistence(self.steady_wind[0], interval)
+            gust_keep = _gust_persistence(self.steady_wind[0], interval)
         self._rows = self._telemetry = None
         factors = (
             interval, keep, gust_keep, _LARGEST_INTEGRAL, float(self.gust_intensity),
-            wind.WASH_FACTOR,
+            _WASH_FACTOR,
         )  # fmt: skip
         motion.step_disturbances(
             self.state,
@@ -343,3 +355,107 @@ class Bodies:
             drawn = self._disturbance_sigma * self.rng.standard_normal((self.count, 3))
             self.disturbance = keep * self.disturbance + math.sqrt(1.0 - keep**2) * drawn
             self._add_disturbance()
+
+    def supervise(self, interval: float) -> None:
+        """Update take-off ramp, land detector and yaw by ``interval`` seconds (call at 25 Hz).
+
+        Vehicles that are moved from outside keep their yaw and whether they stand.
+        """
+        if self.all_cruising and motion.unchanged(
+            self.goal_moves,
+            (self.goal_yaw, self.yaw),
+            self.status,
+            self.landing_time,
+            self.velocity_goal,
+            self.velocity,
+        ):
+            return
+        if self.goal_moves.tobytes() != self.zero_times:
+            self.goal_position += (interval * self.goal_moves)[:, None] * self.goal_velocity
+        if self.goal_yaw.tobytes() != self.yaw.tobytes():
+            self._turn(interval)
+        cruising = self.all_cruising and self.status.tobytes() == self.cruise_status
+        if not cruising:
+            self.tumble += interval * _TUMBLE_RATE * (self.tumbling & ~self.crashed)
+            self._lift(interval)
+            up = (self.lift_time > _RAMP_OVER) & (self.thrust_share >= 1.0)
+            self.all_cruising = np.count_nonzero(up) == self.count
+        down = self.velocity_goal[:, 2] < motion.DESCENDING
+        if not cruising or np.count_nonzero(down) or self.landing_time.tobytes() != self.zero_times:
+            self._detect_landing(down, interval)
+            self.all_cruising = self.all_cruising and self.landing_time.tobytes() == self.zero_times
+
+    def _turn(self, interval: float) -> None:
+        turn = (self.goal_yaw - self.yaw + np.pi) % (2 * np.pi) - np.pi
+        turn[(abs(turn) < 1e-6) | self.outside] = 0.0
+        self.yaw_rate = np.clip(2.0 * turn, -_YAW_RATE, _YAW_RATE) * ~self.landed
+        self.yaw += interval * self.yaw_rate
+        done = (turn == 0.0) & ~self.outside
+        self.yaw[done] = self.goal_yaw[done]
+
+    def _lift(self, interval: float) -> None:
+        """Update the usable share of full thrust: 0 on the ground, a ramp at take-off."""
+        self.armed_time = np.where(self.armed, self.armed_time + interval, 0.0)
+        ready = self.armed & self.may_lift & (self.armed_time > self.spool_time)
+        climbing = (self.velocity_goal[:, 2] > _CLIMBING) | (self.goal_acceleration[:, 2] > 1.0)
+        started = ready & self.landed & (climbing | (self.lift_time > 0))
+        started &= ~self.false_landing
+        self.lift_time = np.where(started | ~self.landed, self.lift_time + interval, 0.0)
+        share = np.minimum(self.lift_time / self.ramp_time, 1.0)
+        share = np.where(self.landing_time > self.cut_time, np.minimum(share, 0.1), share)
+        self.thrust_share = share * self.armed
+
+    def _detect_landing(self, down: Flags, interval: float) -> None:
+        """Detect landings as both autopilots do: a descent setpoint (``down``) without motion.
+
+        This is an inference, not a sensor. A vehicle that hangs on its neighbours' cable during a
+        descent fulfils the condition, and its thrust is cut (PX4 #11683, #15718).
+        """
+        candidate = down & self.armed & (self.lift_time > 1.0)
+        candidate &= ~self.landed
+        if np.count_nonzero(candidate):
+            candidate &= (np.abs(self.velocity) < motion.SLOW).all(axis=1)
+            candidate &= self.thrust[:, 2] < _LOW_THRUST
+        if np.count_nonzero(candidate):
+            self.landing_time = np.where(candidate, self.landing_time + interval, 0.0)
+        else:
+            self.landing_time = np.zeros(self.count)
+        landed = self.landing_time > self.land_time
+        if np.count_nonzero(self.landed):
+            off_ground = self.position[:, 2] > self.floor + self.grip_offset + 0.05
+            lifted = off_ground & self.armed & ~self.false_landing
+            landed |= self.landed & ~lifted
+        landed = np.where(self.outside, self.landed, landed)
+        if landed.tobytes() != self.landed.tobytes():
+            self.landed[:] = landed
+            self.landed_changes += 1
+
+
+def _gust_persistence(steady: Array, interval: float) -> float:
+    """Return the share of a gust that persists after ``interval`` seconds in a steady wind (3,).
+
+    Dryden's first-order longitudinal filter on every axis (MIL-F-8785C, low altitude), vertical
+    with half the intensity. Four fifths of a gust are common to the whole team, whose vehicles are
+    close together.
+    """
+    return math.exp(-interval * max(1.0, math.hypot(*steady.tolist())) / _GUST_LENGTH)
+
+
+def downwash_at(places: Array, position: Array, lift: Array, radius: Array) -> Array:
+    """Return the downward air speed (m, n) at places (m, 3) under each of n vehicles.
+
+    ``position`` (n, 3) and ``radius`` (n,) are the vehicles', ``lift`` (n,) is their upward thrust
+    in newtons.
+
+    Momentum theory gives the far-wake speed ``2 √(T / 2ρA)``; further down the wake is a turbulent
+    round jet: Gaussian in radius, its width grows by a tenth of its length and its speed falls
+    accordingly (Pope, "Turbulent Flows", 5.1; Jain et al., ICRA 2019, for multirotors).
+    """
+    across = places[:, None, :2] - position[None, :, :2]
+    distance = np.einsum("ijk,ijk->ij", across, across)
+    below = position[None, :, 2] - places[:, None, 2]
+    jet = 2 * np.sqrt(lift / (2 * motion.AIR_DENSITY * np.pi)) / radius
+    width = 0.7 * radius + 0.1 * np.maximum(below, 0.0)
+    speed = jet * (0.7 * radius / width) * np.exp(-distance / (2 * width**2))
+    downwash: Array = speed * ((below > 0.1) & (below < 10.0))
+    return downwash

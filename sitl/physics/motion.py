@@ -1,6 +1,6 @@
 """Compiled steps of all vehicles: controller, thrust, drag, the floor; gusts and downwash.
 
-`sitl.physics.dynamics` and `sitl.physics.wind` explain the model. The loops run over vehicles and
+`sitl.physics.dynamics` explains the model. The loops run over vehicles and
 axes: for nine vehicles, some forty small array operations would take ten times as long.
 """
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sitl.physics.geodesy import GRAVITY
 from swarm.jit import allocates, compiled, inner
-from swarm.signatures import Bools1, Floats1, Floats2, Floats3, Singles2
+from swarm.signatures import Bools1, Bools2, Columns2, Floats1, Floats2, Floats3, Singles2
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -41,6 +41,8 @@ _VERTICAL_GUSTS = 0.5
 _CRASH_SPEED = 3.0
 _WASH_DISTANCE_SQUARED, _WASH_START, _WASH_END = 4.0, 0.1, 10.0
 AIR_DENSITY = 1.2
+SLOW, DESCENDING = np.array([1.5, 1.5, 0.25]), -0.25
+"""Speeds below which a vehicle may have landed; the goal of a descent, m/s."""
 
 
 @compiled
@@ -203,7 +205,7 @@ def update_air(state: Floats3, disturbances: Floats3, constants: Floats2) -> Non
 
 @inner
 def _step_gusts(gust: Array, random: Array, keep: float, intensity: float) -> None:
-    """Advance gusts (m, 3), in place; see `sitl.physics.wind.gust_persistence`."""
+    """Advance gusts (m, 3), in place; see `sitl.physics.dynamics`."""
     for i in range(len(gust)):
         for k in range(3):
             share = 1.0 if k < 2 else _VERTICAL_GUSTS
@@ -225,7 +227,8 @@ def _add_gusts(gust: Array, disturbances: Array) -> None:
 def _downwash(state: Array, constants: Array, apart: Array) -> Array:
     """Return the downward air speed (n,) at every vehicle from those above it.
 
-    The formula is `sitl.physics.wind.jets`. Horizontal distances squared go to ``apart`` (n, n).
+    The formula is `sitl.physics.dynamics.downwash_at`; ``apart`` (n, n) gets horizontal distances
+    squared.
     """
     count = len(state)
     wash = np.zeros(count)
@@ -307,3 +310,24 @@ def tilts(state: Floats3, tumbling: Bools1, tumble: Floats1) -> Array:
 @inner
 def _wrap(angle: float) -> float:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@compiled
+def unchanged(
+    goal_moves: Floats1, yaws: tuple[Floats1, Floats1], status: Bools2, landing_time: Floats1,
+    goal: Floats2, velocity: Columns2,
+) -> bool:  # fmt: skip
+    """Return whether all vehicles fly, have their goal yaw, and meet no condition of a landing.
+
+    ``yaws`` are the goals (n,), and the present ones.
+    """
+    goal_yaw, yaw = yaws
+    for i in range(len(yaw)):
+        flies = status[0, i] and not (status[1, i] or status[2, i])
+        still = goal_moves[i] == 0.0 and landing_time[i] == 0.0 and yaw[i] == goal_yaw[i]
+        slow = True
+        for k in range(3):
+            slow = slow and abs(velocity[i, k]) < SLOW[k]
+        if not (flies and still) or (slow and goal[i, 2] < DESCENDING):
+            return False
+    return True

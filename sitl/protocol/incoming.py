@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from sitl.physics import motion
 from sitl.physics.dynamics import Bodies
 from sitl.protocol import wire
-from sitl.protocol.links import Link
 from sitl.protocol.vehicle import Vehicle
+from sitl.protocol.wire import Link
 from swarm.jit import allocates, compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, Ints1
 

@@ -1,151 +1,102 @@
-"""The mission protocol: upload, read back, clear; missions, fences and rally points.
+"""What ground stations upload: the progress of a mission; fences as polygons and circles.
 
-`sitl.autopilots.mission_flight` flies missions, `sitl.protocol.fences` reads fences; rally points
-are stored only.
+Items of the mission protocol's fence list (MAV_CMD_NAV_FENCE_*) become `Area`s in world ENU; the
+autopilot decides on the reaction to a breach. `sitl.autopilots.missions` uploads and flies.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from pymavlink.dialects.v20 import common as dialect
+from sitl.physics.geodesy import Geodesy
 
-from sitl.protocol import fences
-from sitl.protocol.links import Link
-from sitl.protocol.vehicle import Vehicle, addressed, scaled_degrees
-
-_MISSION_TIMEOUT = 5.0
-_LARGEST_MISSION = 500
+_POLYGON_IN, _POLYGON_OUT, _CIRCLE_IN, _CIRCLE_OUT = 5001, 5002, 5003, 5004
 
 
-def _send_count(v: Vehicle, message: Any, link: Link) -> None:
-    if addressed(v, message):
-        kind = message.mission_type
-        v.send(
-            "MISSION_COUNT",
-            link,
-            target_system=message.get_srcSystem(),
-            target_component=message.get_srcComponent(),
-            count=len(v.mission.get(kind, [])),
-            mission_type=kind,
-        )
+class MissionProgress:
+    """The current mission item, its goal (world ENU) and timers; ``first`` is the start item."""
+
+    def __init__(self, first: int) -> None:
+        self.first = first
+        self.restart()
+
+    def restart(self) -> None:
+        """Return to the first item."""
+        self.seq = self.first
+        self.goal: Any = None
+        self.wait_until: float | None = None
+        self.jumps: dict[int, int] = {}
+
+    def jump_to(self, seq: int, count: int) -> bool:
+        """Continue with another item of ``count``; return False if it does not exist."""
+        if not 0 <= seq < count:
+            return False
+        self.seq = max(seq, self.first)
+        self.goal = self.wait_until = None
+        return True
+
+    def advance(self) -> None:
+        """Continue with the next item."""
+        self.seq += 1
+        self.goal = self.wait_until = None
 
 
-def _send_item(v: Vehicle, message: Any, link: Link) -> None:
-    if not addressed(v, message):
-        return
-    items = v.mission.get(message.mission_type, [])
-    if message.seq >= len(items):
-        _acknowledge(v, message, link, dialect.MAV_MISSION_INVALID_SEQUENCE)
-        return
-    item = dict(items[message.seq])
-    item["target_system"], item["target_component"] = (
-        message.get_srcSystem(),
-        message.get_srcComponent(),
-    )
-    if message.get_type() == "MISSION_REQUEST_INT":
-        v.send("MISSION_ITEM_INT", link, **item)
-    else:
-        item["x"], item["y"] = item["x"] * 1e-7, item["y"] * 1e-7
-        v.send("MISSION_ITEM", link, **item)
+@dataclass(frozen=True)
+class Area:
+    """One fence: ``inside`` or outside a polygon, or a circle around its only corner (m)."""
+
+    inside: bool
+    corners: tuple[tuple[float, float], ...]
+    radius: float = 0.0
+
+    def contains(self, x: float, y: float) -> bool:
+        """Return whether a point (world ENU) is on the permitted side of this fence."""
+        if self.radius > 0:
+            within = math.hypot(x - self.corners[0][0], y - self.corners[0][1]) <= self.radius
+        else:
+            within = _in_polygon(self.corners, x, y)
+        return within == self.inside
 
 
-def _acknowledge(v: Vehicle, message: Any, link: Link, result: int) -> None:
-    v.send(
-        "MISSION_ACK",
-        link,
-        target_system=message.get_srcSystem(),
-        target_component=message.get_srcComponent(),
-        type=result,
-        mission_type=message.mission_type,
-    )
+def _in_polygon(corners: Sequence[tuple[float, float]], x: float, y: float) -> bool:
+    """Return whether a point is in a polygon (even-odd rule with a ray to the east)."""
+    within = False
+    for (x1, y1), (x2, y2) in zip(corners, [*corners[1:], corners[0]], strict=True):
+        if (y1 > y) != (y2 > y) and x < x1 + (y - y1) / (y2 - y1) * (x2 - x1):
+            within = not within
+    return within
 
 
-def _start_upload(v: Vehicle, message: Any, link: Link) -> None:
-    if not addressed(v, message):
-        return
-    kind = message.mission_type
-    if kind not in v.mission or message.count > _LARGEST_MISSION:
-        _acknowledge(v, message, link, dialect.MAV_MISSION_NO_SPACE)
-    elif message.count == 0:
-        _acknowledge(v, message, link, _store(v, kind, []))
-    else:
-        v.upload = {"kind": kind, "count": message.count, "items": [], "at": v.now}
-        _request_item(v, message, link)
+def areas(items: Sequence[dict[str, Any]], geodesy: Geodesy) -> tuple[Area, ...] | None:
+    """Return the fences of an uploaded list, None if the list is invalid."""
+    fences = []
+    rest = list(items)
+    while rest:
+        item = rest[0]
+        command, amount = item["command"], item["param1"]
+        if command in {_POLYGON_IN, _POLYGON_OUT}:
+            if not (math.isfinite(amount) and 3 <= amount <= len(rest)):
+                return None
+            own, rest = rest[: int(amount)], rest[int(amount) :]
+            if any((corner["command"], corner["param1"]) != (command, amount) for corner in own):
+                return None
+            corners = tuple(_place(corner, geodesy) for corner in own)
+            fences.append(Area(command == _POLYGON_IN, corners))
+        elif command in {_CIRCLE_IN, _CIRCLE_OUT}:
+            if not (math.isfinite(amount) and amount > 0):
+                return None
+            fences.append(Area(command == _CIRCLE_IN, (_place(item, geodesy),), amount))
+            rest = rest[1:]
+        else:
+            rest = rest[1:]
+    return tuple(fences)
 
 
-def _request_item(v: Vehicle, message: Any, link: Link) -> None:
-    v.send(
-        "MISSION_REQUEST_INT",
-        link,
-        target_system=message.get_srcSystem(),
-        target_component=message.get_srcComponent(),
-        seq=len(v.upload["items"]),
-        mission_type=v.upload["kind"],
-    )
+def _place(item: dict[str, Any], geodesy: Geodesy) -> tuple[float, float]:
+    return geodesy.metres(item["x"] * 1e-7, item["y"] * 1e-7)
 
 
-_ITEM_FIELDS = (
-    "seq", "frame", "command", "current", "autocontinue", "param1", "param2", "param3", "param4",
-    "x", "y", "z", "mission_type",
-)  # fmt: skip
-
-
-def _receive_item(v: Vehicle, message: Any, link: Link) -> None:
-    if not addressed(v, message):
-        return
-    upload = v.upload
-    if not upload or v.now - upload["at"] > _MISSION_TIMEOUT:
-        _acknowledge(v, message, link, dialect.MAV_MISSION_ERROR)
-        return
-    if message.seq != len(upload["items"]):
-        _request_item(v, message, link)
-        return
-    item = {name: getattr(message, name) for name in _ITEM_FIELDS}
-    if message.get_type() == "MISSION_ITEM":
-        item["x"], item["y"] = scaled_degrees(item["x"]), scaled_degrees(item["y"])
-    upload["items"].append(item)
-    upload["at"] = v.now
-    if len(upload["items"]) < upload["count"]:
-        _request_item(v, message, link)
-        return
-    v.upload = {}
-    result = _store(v, upload["kind"], upload["items"])
-    _acknowledge(v, message, link, result)
-
-
-def _store(v: Vehicle, kind: int, items: list[dict[str, Any]]) -> int:
-    """Store a complete list; return the MAV_MISSION_RESULT."""
-    if kind == dialect.MAV_MISSION_TYPE_FENCE:
-        fence = fences.areas(items, v.environment.geodesy)
-        if fence is None:
-            return int(dialect.MAV_MISSION_ERROR)
-        v.fence = fence
-    v.mission[kind] = items
-    if kind == dialect.MAV_MISSION_TYPE_MISSION:
-        v.mission_progress.restart()
-    return int(dialect.MAV_MISSION_ACCEPTED)
-
-
-def _set_current(v: Vehicle, message: Any, link: Link) -> None:
-    if addressed(v, message) and v.mission_progress.jump_to(message.seq, len(v.mission[0])):
-        v.send("MISSION_CURRENT", link, seq=message.seq)
-
-
-def _clear(v: Vehicle, message: Any, link: Link) -> None:
-    if addressed(v, message):
-        kinds = list(v.mission) if message.mission_type == 255 else [message.mission_type]
-        for kind in set(kinds) & set(v.mission):
-            _store(v, kind, [])
-        _acknowledge(v, message, link, dialect.MAV_MISSION_ACCEPTED)
-
-
-HANDLERS: dict[str, Callable[[Vehicle, Any, Link], None]] = {
-    "MISSION_REQUEST_LIST": _send_count,
-    "MISSION_REQUEST": _send_item,
-    "MISSION_REQUEST_INT": _send_item,
-    "MISSION_COUNT": _start_upload,
-    "MISSION_ITEM": _receive_item,
-    "MISSION_ITEM_INT": _receive_item,
-    "MISSION_SET_CURRENT": _set_current,
-    "MISSION_CLEAR_ALL": _clear,
-}
+def breached(fences: Sequence[Area], x: float, y: float) -> bool:
+    """Return whether a point is outside an inclusion, or inside an exclusion."""
+    return not all(area.contains(x, y) for area in fences)

@@ -1,4 +1,4 @@
-"""MAVLink 2 frames of one vehicle: bytes in and out, no sockets and no clock.
+"""MAVLink 2 frames of one vehicle and its links: bytes in and out, no sockets and no clock.
 
 Telemetry is packed by hand (about a microsecond per message), because an emulator of a hundred
 vehicles spends most of its time here; field order, sizes and CRC seeds are pymavlink's. pymavlink
@@ -6,9 +6,10 @@ parses incoming bytes, except setpoints, which arrive fifty times a second, and 
 """
 
 import hashlib
+import heapq
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -109,8 +110,8 @@ def payload(name: str, fields: dict[str, Any]) -> bytes:
     layout = LAYOUTS[name]
     values = layout.blank.copy()
     places = layout.places
-    for field, value in fields.items():
-        place, length = places[field]
+    for key, value in fields.items():
+        place, length = places[key]
         if length:
             values[place : place + min(len(value), length)] = value[:length]
         else:
@@ -121,16 +122,20 @@ def payload(name: str, fields: dict[str, Any]) -> bytes:
 def template(name: str, varying: str, **constant: Any) -> Callable[..., bytes]:
     """Return a function that packs a message's payload from the values of ``varying`` fields.
 
-    ``varying`` are names separated by spaces; all other fields are ``constant`` or zero.
+    ``varying`` are names separated by spaces; all other fields are ``constant`` or zero. Arrays are
+    sequences, extended with zeros.
     """
     layout = LAYOUTS[name]
     blank = list(layout.struct.unpack(payload(name, constant)))
-    places = [layout.places[field][0] for field in varying.split()]
+    places = [layout.places[each] for each in varying.split()]
 
     def fill(*values: Any) -> bytes:
         filled = blank.copy()
-        for place, value in zip(places, values, strict=True):
-            filled[place] = value
+        for (place, length), value in zip(places, values, strict=True):
+            if length:
+                filled[place : place + len(value)] = value
+            else:
+                filled[place] = value
         return layout.struct.pack(*filled)
 
     return fill
@@ -361,3 +366,48 @@ class Receiver:
 def signing_ticks(unix_seconds: float) -> int:
     """Return a MAVLink signing timestamp: 10 µs ticks since 2015-01-01."""
     return int((unix_seconds - 1_420_070_400.0) * _TICKS_PER_SECOND)
+
+
+ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
+"""MAV_RESULT."""
+
+
+@dataclass
+class Link:
+    """A connection: telemetry streams, parser, sender and the frames that wait to be sent.
+
+    ``intervals`` are seconds between two messages of a name, ``due`` is a heap of (time, name).
+    """
+
+    vehicle: int
+    kind: str
+    sender: Sender
+    receiver: Receiver = field(default_factory=Receiver)
+    intervals: dict[str, float] = field(default_factory=dict)
+    due: list[tuple[float, str]] = field(default_factory=list)
+    outgoing: list[bytes] = field(default_factory=list)
+
+    def stream(self, name: str, interval: float | None, now: float) -> None:
+        """Send a message every ``interval`` seconds; None ends the stream."""
+        if interval is None:
+            self.intervals.pop(name, None)
+            return
+        fresh = name not in self.intervals
+        faster = not fresh and interval < self.intervals[name]
+        self.intervals[name] = interval
+        if fresh or faster:
+            self.due = [entry for entry in self.due if entry[1] != name]
+            heapq.heapify(self.due)
+            heapq.heappush(self.due, (now, name))
+
+
+class Command(NamedTuple):
+    """A received command: number, seven parameters, position in 1e-7 degrees, link and sender."""
+
+    number: int
+    p: list[float]
+    x: int
+    y: int
+    link: Link
+    system: int
+    component: int

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from sitl import Emulator
-from sitl.faults.scenario import Fault, Scenario, parse_scenario
+from sitl.faults import Fault, Scenario, parse_scenario
 from sitl.world import WorldError, parse_world
 from sitl.world import schema as world_schema
 from swarm.errors import InputError, Problem, Refused

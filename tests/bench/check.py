@@ -18,7 +18,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from unittest import mock
 
-import sitl.protocol.parameter_protocol
+import sitl.autopilots.services
 from sitl import server
 from sitl.emulator import AUTOPILOT_STEPS, Emulator
 from sitl.physics.dynamics import STEP
@@ -45,9 +45,7 @@ def carrying(kind: str, table: dict[str, float], vehicles: int) -> Emulator:
 def serve(kind: str, table: dict[str, float], vehicles: int, ready: object) -> None:
     """Run the emulator as a process."""
     sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
-    sitl.protocol.parameter_protocol.PARAMETERS_PER_UPDATE = round(
-        PACE[kind] * AUTOPILOT_STEPS * STEP
-    )
+    sitl.autopilots.services.PARAMETERS_PER_UPDATE = round(PACE[kind] * AUTOPILOT_STEPS * STEP)
     emulator = carrying(kind, table, vehicles)
     precompile.load()
     running = server.to_default_ports(emulator, "127.0.0.1", 1.0, None)

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from sitl.faults.scenario import Fault
+from sitl.faults import Fault
 from swarm.flight.setup import Options
 from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.fault_injection.stepped_simulation import (

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sitl.faults.scenario import Fault
+from sitl.faults import Fault
 from swarm.errors import Refused
 from swarm.flight.preparation import STANDING_TIME
 from swarm.flight.readiness import assigned, levelled, rough_frames

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 from scipy.spatial.transform import Rotation
 
-from sitl.capture import MotionCapture
 from sitl.emulator import Emulator
+from sitl.server import MotionCapture
 from sitl.world import Capture, World, default_world
 from swarm.errors import VehicleError
 from swarm.flight.router import Team

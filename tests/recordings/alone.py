@@ -25,8 +25,8 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from sitl.emulator import Emulator
-from sitl.faults.scenario import Fault
-from sitl.firmware.selection import assign, parse
+from sitl.faults import Fault
+from sitl.firmware.processes import assign, parse_firmware
 from sitl.firmware.team import flying
 from sitl.physics.dynamics import STEP
 from sitl.world import Kind, default_world
@@ -382,7 +382,7 @@ def one_vehicle(
         yield Flight(kind, emulator, False, deliver, deliver, list), advance
         return
     emulator = Emulator(world, outside=[1])
-    firmware = assign(parse(f"{kind}={program}"), world)
+    firmware = assign(parse_firmware(f"{kind}={program}"), world)
     with tempfile.TemporaryDirectory() as folder, _bound() as ground, _bound() as other:
         target = f"127.0.0.1:{ground.getsockname()[1]}"
         peer: list[Any] = []

@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from sitl.autopilots import ardupilot, px4
 from sitl.emulator import Emulator
-from sitl.firmware.selection import assign, parse
+from sitl.firmware.processes import assign, parse_firmware
 from sitl.firmware.team import flying
 from sitl.physics.dynamics import STEP
 from sitl.world import Kind, default_world
@@ -99,7 +99,7 @@ class Pilot:
 
 def record(text: str, folder: Path) -> bytes:
     """Fly the vehicle of a ``--firmware`` until it has landed by itself; return the .tlog."""
-    (part,) = parse(text)
+    (part,) = parse_firmware(text)
     world = default_world(1, [part.kind])
     spec = world.vehicles[0].model_copy(update={"parameters": parameters(part.kind)})
     world = world.model_copy(update={"vehicles": [spec]})

@@ -8,8 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl import Emulator
-from sitl.faults.injector import INJECTED, OF_ARDUPILOT, SIM_PARAMETERS
-from sitl.faults.scenario import KINDS, Fault, parse_scenario
+from sitl.faults import KINDS, SIM_PARAMETERS, Fault, parse_scenario
 from tests.sitl.client import Ground, world
 
 INJECT, GRIP, ARM = 420, dialect.MAV_CMD_DO_GRIPPER, dialect.MAV_CMD_COMPONENT_ARM_DISARM
@@ -228,7 +227,7 @@ def test_every_fault_has_a_case_or_a_test() -> None:
     }
     own = {"gripper_stuck_open", "gripper_stuck_shut", "refuse_arming", "rc_loss", "wind"}
     assert covered | own == set(KINDS)
-    assert {values["kind"] for values in INJECTED.values()} == set(KINDS) - {"wind"}
+    assert {name for name, kind in KINDS.items() if kind.injected} == set(KINDS) - {"wind"}
 
 
 @pytest.mark.parametrize("source", ["parameters", "injection"])
@@ -286,7 +285,6 @@ def test_both_autopilots_have_the_sim_parameters(
     ground = Ground(Emulator(world(1, autopilot=autopilot)))
     names = set(ground.emulator.vehicles[0].parameters.names)
     assert set(SIM_PARAMETERS) <= names
-    assert set(OF_ARDUPILOT) <= set(SIM_PARAMETERS)
     assert max(map(len, SIM_PARAMETERS)) <= 16
 
 

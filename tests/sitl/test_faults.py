@@ -5,8 +5,7 @@ import pytest
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl import Emulator, WorldError
-from sitl.faults.injector import Channel, UniformNumbers
-from sitl.faults.scenario import KINDS, Fault, parse_scenario
+from sitl.faults import KINDS, Channel, Fault, UniformNumbers, parse_scenario
 from tests.sitl.client import Ground, world
 
 INJECT = 420

@@ -8,9 +8,16 @@ import pytest
 
 from sitl.__main__ import main
 from sitl.emulator import Emulator
-from sitl.firmware.positioning import parameters
-from sitl.firmware.process import Start, launch
-from sitl.firmware.selection import Firmware, FirmwareError, assign, check_positioning, parse
+from sitl.firmware.ardupilot import launch
+from sitl.firmware.processes import (
+    Firmware,
+    FirmwareError,
+    Start,
+    assign,
+    check_positioning,
+    parse_firmware,
+    position_parameters,
+)  # fmt: skip
 from sitl.firmware.team import flying
 from sitl.world import CableSpec, Capture, Origin, default_world
 
@@ -25,8 +32,8 @@ def program(tmp_path):
 
 
 def test_parts_have_a_kind_a_program_and_perhaps_a_count(program):
-    assert parse(f"ardupilot={program}") == [Firmware("ardupilot", program, None)]
-    assert parse(f"2*ardupilot={program}, ardupilot={program}") == [
+    assert parse_firmware(f"ardupilot={program}") == [Firmware("ardupilot", program, None)]
+    assert parse_firmware(f"2*ardupilot={program}, ardupilot={program}") == [
         Firmware("ardupilot", program, 2),
         Firmware("ardupilot", program, None),
     ]
@@ -35,7 +42,7 @@ def test_parts_have_a_kind_a_program_and_perhaps_a_count(program):
 @pytest.mark.parametrize("text", ["", "ardupilot", "ardupilot=", "betaflight=x", "x*ardupilot=y"])
 def test_other_texts_are_refused(text):
     with pytest.raises(FirmwareError) as caught:
-        parse(text)
+        parse_firmware(text)
     assert str(caught.value) == (
         f"--firmware: expected px4=BUILD_FOLDER or ardupilot=PATH, got {text}"
     )
@@ -99,7 +106,7 @@ def test_ports_of_other_programs_are_named_before_anything_starts(
         one.model_copy(update={"id": 200 + one.id, "radio": radio}) for one in world.vehicles
     ]
     world = world.model_copy(update={"vehicles": vehicles})
-    firmware = assign(parse(f"{kind}={tmp_path if kind == 'px4' else program}"), world)
+    firmware = assign(parse_firmware(f"{kind}={tmp_path if kind == 'px4' else program}"), world)
     with contextlib.ExitStack() as stack:
         for protocol, port in occupied:
             if protocol == "tcp":
@@ -139,17 +146,17 @@ def test_teams_of_both_autopilots_are_in_the_order_of_the_parts(program, tmp_pat
     build.parent.mkdir()
     build.write_text("#!/bin/sh\n")
     build.chmod(build.stat().st_mode | stat.S_IXUSR)
-    parts = parse(f"2*px4={tmp_path},1*ardupilot={program}")
+    parts = parse_firmware(f"2*px4={tmp_path},1*ardupilot={program}")
     world = default_world(3, ["px4", "px4", "ardupilot"])
     assert [one.kind for one in assign(parts, world).values()] == ["px4", "px4", "ardupilot"]
 
 
 def test_vehicles_of_the_kind_get_the_firmware_in_order(program):
     world = default_world(4, ["px4", "ardupilot", "ardupilot", "ardupilot"])
-    assert list(assign(parse(f"2*ardupilot={program}"), world)) == [2, 3]
-    assert list(assign(parse(f"ardupilot={program}"), world)) == [2, 3, 4]
+    assert list(assign(parse_firmware(f"2*ardupilot={program}"), world)) == [2, 3]
+    assert list(assign(parse_firmware(f"ardupilot={program}"), world)) == [2, 3, 4]
     with pytest.raises(FirmwareError) as caught:
-        assign(parse(f"4*ardupilot={program}"), world)
+        assign(parse_firmware(f"4*ardupilot={program}"), world)
     assert str(caught.value) == "--firmware: expected at least 4 vehicles with ardupilot, got 3"
 
 
@@ -157,7 +164,7 @@ def test_a_cable_without_inertia_is_refused(program):
     cable = CableSpec(points=[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], model="static")
     world = default_world(1, ["ardupilot"]).model_copy(update={"cable": cable})
     with pytest.raises(FirmwareError) as caught:
-        assign(parse(f"ardupilot={program}"), world)
+        assign(parse_firmware(f"ardupilot={program}"), world)
     assert str(caught.value) == (
         "--firmware: expected a world with cable.model: swinging, got static"
     )
@@ -165,11 +172,11 @@ def test_a_cable_without_inertia_is_refused(program):
 
 def test_estimators_are_told_the_delay_and_the_noise_of_the_motion_capture():
     laboratory = Capture(delay=0.045, noise=0.02)
-    px4 = parameters("px4", "mocap", laboratory)
+    px4 = position_parameters("px4", "mocap", laboratory)
     assert (px4["EKF2_EV_DELAY"], px4["EKF2_EVP_NOISE"]) == (45, 0.02)
-    ardupilot = parameters("ardupilot", "mocap", laboratory)
+    ardupilot = position_parameters("ardupilot", "mocap", laboratory)
     assert (ardupilot["VISO_DELAY_MS"], ardupilot["VISO_POS_M_NSE"]) == (45, 0.05)
-    assert "VISO_DELAY_MS" not in parameters("ardupilot", "rtk", laboratory)
+    assert "VISO_DELAY_MS" not in position_parameters("ardupilot", "rtk", laboratory)
 
 
 def test_px4_has_no_plain_receiver(program):

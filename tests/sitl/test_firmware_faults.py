@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl.emulator import Emulator
-from sitl.faults.scenario import Fault
+from sitl.faults import Fault
 from sitl.firmware import ardupilot, px4
 from sitl.firmware.ardupilot import ArduPilotPort
 from sitl.firmware.px4 import Px4Port

@@ -7,9 +7,9 @@ import pytest
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl import Emulator
-from sitl.faults.scenario import Fault
+from sitl.faults import Fault
 from sitl.physics.geodesy import Geodesy
-from sitl.protocol.fences import Area, areas, breached
+from sitl.protocol.missions import Area, areas, breached
 from tests.sitl.client import Ground, world
 
 BOTH = pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])

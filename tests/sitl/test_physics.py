@@ -10,9 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from sitl import Emulator
-from sitl.autopilots import controller_goals
 from sitl.cable.rope import Rope
-from sitl.physics import landing
 from sitl.physics.dynamics import STEP, Bodies
 from sitl.physics.geodesy import GRAVITY
 from sitl.world import CableSpec
@@ -243,7 +241,7 @@ def test_a_vehicle_that_descends_level_keeps_no_thrust_against_an_earlier_pull(
     ground = airborne(autopilot)
     vehicle, b = ground.emulator.vehicles[0], ground.emulator.bodies
     b.integral[0] = (0.8, -0.5, 0.3)
-    controller_goals.descend(vehicle, 0.6, steer=False)
+    vehicle.descend(0.6, steer=False)
     assert b.integral[0].tolist() == [0.0, 0.0, 0.3]
     b.velocity[:] = 0.0
     for _ in range(int(5.0 / STEP)):
@@ -261,7 +259,7 @@ def test_a_copy_in_flight_continues_independently() -> None:
     for step in range(400):
         b.step()
         if step % 2 == 0:
-            landing.supervise(b, 0.04)
+            b.supervise(0.04)
     other = copy.deepcopy(b)
     for one in (b, other):
         one.set_goal_values(1, (3.0, 1.0, 5.0, *[0.0] * 6))

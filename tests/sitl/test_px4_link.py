@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import common as dialect
 from scipy.spatial.transform import Rotation
 
 from sitl.firmware import sensors
-from sitl.firmware.process import Start
+from sitl.firmware.processes import Start
 from sitl.firmware.px4 import Stream, launch_px4, receiver, sensor
 from sitl.physics.geodesy import GRAVITY, Geodesy
 from sitl.protocol import wire

@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from sitl.emulator import Emulator
-from sitl.firmware.selection import assign, parse
+from sitl.firmware.processes import assign, parse_firmware
 from sitl.firmware.team import flying
 from sitl.physics.dynamics import STEP
 from sitl.world import default_world
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.skipif(
 
 def test_an_arducopter_takes_off_and_hovers_in_our_world(tmp_path):
     world = default_world(1, ["ardupilot"])
-    firmware = assign(parse(f"ardupilot={PROGRAM}"), world)
+    firmware = assign(parse_firmware(f"ardupilot={PROGRAM}"), world)
     emulator = Emulator(world, outside=list(firmware))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
         ground.bind(("127.0.0.1", 0))

@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import common as dialect
 
 from sitl.emulator import Emulator
-from sitl.firmware.selection import assign, parse
+from sitl.firmware.processes import assign, parse_firmware
 from sitl.firmware.team import flying
 from sitl.physics.dynamics import STEP
 from sitl.world import default_world
@@ -29,7 +29,7 @@ def test_a_px4_is_ready_without_a_complaint_takes_off_and_hovers_in_our_world(tm
     world = default_world(1, ["px4"])
     spec = world.vehicles[0].model_copy(update={"parameters": PARAMETERS})
     world = world.model_copy(update={"vehicles": [spec]})
-    firmware = assign(parse(f"px4={BUILD}"), world)
+    firmware = assign(parse_firmware(f"px4={BUILD}"), world)
     emulator = Emulator(world, outside=list(firmware))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
         ground.bind(("127.0.0.1", 0))

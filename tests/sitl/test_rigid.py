@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from sitl.emulator import Emulator
 from sitl.firmware.ardupilot import answer, parse
-from sitl.physics import landing
 from sitl.physics.geodesy import GRAVITY
 from sitl.physics.rigid_bodies import COLUMNS, SAG, Frame, step
 from sitl.world import default_world
@@ -189,9 +188,9 @@ def test_supervision_leaves_vehicles_alone_that_are_moved_from_outside():
     bodies.armed[:] = True
     bodies.position[:, 2] += 2.0
     yaw = bodies.yaw.copy()
-    landing.supervise(bodies, 0.04)
+    bodies.supervise(0.04)
     assert bodies.landed.tolist() == [False, True]
     assert bodies.yaw[1] == yaw[1]
-    landing.supervise(bodies, 0.04)
+    bodies.supervise(0.04)
     assert bodies.yaw[0] != yaw[0]
     assert bodies.yaw[1] == yaw[1]

@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sitl import Emulator
-from sitl.capture import MotionCapture
 from sitl.firmware import sensors
 from sitl.firmware.ardupilot import answer
 from sitl.physics.geodesy import Geodesy
+from sitl.server import MotionCapture
 from sitl.world import Capture
 from swarm.ground.mocap import estimate, parse_frame
 from swarm.mavlink.frames import Origin, gps_frames, shared_frames

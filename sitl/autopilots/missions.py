@@ -1,6 +1,7 @@
-"""Flight of an uploaded mission: waypoints, take-off, land, return, gripper, speed, delays.
+"""Uploaded missions: the mission protocol (missions, fences, rally points), and their flight.
 
-Both autopilots use it in their AUTO modes. Unknown commands are skipped, as autopilots do.
+Rally points are stored only. Both autopilots fly a mission's waypoints, take-off, landing, return,
+gripper, speed and delays in their AUTO modes; unknown commands are skipped, as autopilots do.
 """
 
 import math
@@ -8,10 +9,117 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from pymavlink.dialects.v20 import common as dialect
 
-from sitl.autopilots import controller_goals
-from sitl.protocol.gripper import GripperRequest
-from sitl.protocol.vehicle import Vehicle
+from sitl.protocol import missions
+from sitl.protocol.vehicle import GripperRequest, Vehicle, scaled_degrees
+from sitl.protocol.wire import Link
+
+_MISSION_TIMEOUT = 5.0
+_LARGEST_MISSION = 500
+
+
+def _send_count(v: Vehicle, message: Any, link: Link) -> None:
+    kind = message.mission_type
+    v.answer("MISSION_COUNT", message, link, count=len(v.mission.get(kind, [])), mission_type=kind)
+
+
+def _send_item(v: Vehicle, message: Any, link: Link) -> None:
+    items = v.mission.get(message.mission_type, [])
+    if message.seq >= len(items):
+        _acknowledge(v, message, link, dialect.MAV_MISSION_INVALID_SEQUENCE)
+        return
+    item = dict(items[message.seq])
+    if message.get_type() == "MISSION_REQUEST_INT":
+        v.answer("MISSION_ITEM_INT", message, link, **item)
+    else:
+        item["x"], item["y"] = item["x"] * 1e-7, item["y"] * 1e-7
+        v.answer("MISSION_ITEM", message, link, **item)
+
+
+def _acknowledge(v: Vehicle, message: Any, link: Link, result: int) -> None:
+    v.answer("MISSION_ACK", message, link, type=result, mission_type=message.mission_type)
+
+
+def _start_upload(v: Vehicle, message: Any, link: Link) -> None:
+    kind = message.mission_type
+    if kind not in v.mission or message.count > _LARGEST_MISSION:
+        _acknowledge(v, message, link, dialect.MAV_MISSION_NO_SPACE)
+    elif message.count == 0:
+        _acknowledge(v, message, link, _store(v, kind, []))
+    else:
+        v.upload = {"kind": kind, "count": message.count, "items": [], "at": v.now}
+        _request_item(v, message, link)
+
+
+def _request_item(v: Vehicle, message: Any, link: Link) -> None:
+    seq, kind = len(v.upload["items"]), v.upload["kind"]
+    v.answer("MISSION_REQUEST_INT", message, link, seq=seq, mission_type=kind)
+
+
+_ITEM_FIELDS = (
+    "seq", "frame", "command", "current", "autocontinue", "param1", "param2", "param3", "param4",
+    "x", "y", "z", "mission_type",
+)  # fmt: skip
+
+
+def _receive_item(v: Vehicle, message: Any, link: Link) -> None:
+    upload = v.upload
+    if not upload or v.now - upload["at"] > _MISSION_TIMEOUT:
+        _acknowledge(v, message, link, dialect.MAV_MISSION_ERROR)
+        return
+    if message.seq != len(upload["items"]):
+        _request_item(v, message, link)
+        return
+    item = {name: getattr(message, name) for name in _ITEM_FIELDS}
+    if message.get_type() == "MISSION_ITEM":
+        item["x"], item["y"] = scaled_degrees(item["x"]), scaled_degrees(item["y"])
+    upload["items"].append(item)
+    upload["at"] = v.now
+    if len(upload["items"]) < upload["count"]:
+        _request_item(v, message, link)
+        return
+    v.upload = {}
+    result = _store(v, upload["kind"], upload["items"])
+    _acknowledge(v, message, link, result)
+
+
+def _store(v: Vehicle, kind: int, items: list[dict[str, Any]]) -> int:
+    """Store a complete list; return the MAV_MISSION_RESULT."""
+    if kind == dialect.MAV_MISSION_TYPE_FENCE:
+        fence = missions.areas(items, v.environment.geodesy)
+        if fence is None:
+            return int(dialect.MAV_MISSION_ERROR)
+        v.fence = fence
+    v.mission[kind] = items
+    if kind == dialect.MAV_MISSION_TYPE_MISSION:
+        v.mission_progress.restart()
+    return int(dialect.MAV_MISSION_ACCEPTED)
+
+
+def _set_current(v: Vehicle, message: Any, link: Link) -> None:
+    if v.mission_progress.jump_to(message.seq, len(v.mission[0])):
+        v.send("MISSION_CURRENT", link, seq=message.seq)
+
+
+def _clear(v: Vehicle, message: Any, link: Link) -> None:
+    kinds = list(v.mission) if message.mission_type == 255 else [message.mission_type]
+    for kind in set(kinds) & set(v.mission):
+        _store(v, kind, [])
+    _acknowledge(v, message, link, dialect.MAV_MISSION_ACCEPTED)
+
+
+HANDLERS: dict[str, Callable[[Vehicle, Any, Link], None]] = {
+    "MISSION_REQUEST_LIST": _send_count,
+    "MISSION_REQUEST": _send_item,
+    "MISSION_REQUEST_INT": _send_item,
+    "MISSION_COUNT": _start_upload,
+    "MISSION_ITEM": _receive_item,
+    "MISSION_ITEM_INT": _receive_item,
+    "MISSION_SET_CURRENT": _set_current,
+    "MISSION_CLEAR_ALL": _clear,
+}
+
 
 _WAYPOINT, _LOITER, _LOITER_TIME, _RETURN, _LAND, _TAKEOFF, _DELAY = 16, 17, 19, 20, 21, 22, 93
 _JUMP, _SPEED, _GRIPPER, _SCRIPT_DELAY = 177, 178, 211, 112
@@ -27,7 +135,7 @@ def starts_with_takeoff(v: Vehicle) -> bool:
     return seq < len(items) and items[seq]["command"] == _TAKEOFF
 
 
-def steer(v: Vehicle, acceptance: float) -> str:
+def steer_mission(v: Vehicle, acceptance: float) -> str:
     """Set the controller goals of the current item; return FLYING, LANDING, RETURNING or DONE.
 
     ``acceptance`` is the distance in metres at which a waypoint is reached.
@@ -36,7 +144,7 @@ def steer(v: Vehicle, acceptance: float) -> str:
     for _ in range(_MOST_STEPS):
         items = v.mission[0]
         if progress.seq >= len(items):
-            return DONE
+            break
         item = items[progress.seq]
         if item["command"] == _RETURN:
             return RETURNING
@@ -46,6 +154,7 @@ def steer(v: Vehicle, acceptance: float) -> str:
         v.send("MISSION_ITEM_REACHED", seq=progress.seq)
         progress.advance()
         v.send("MISSION_CURRENT", seq=progress.seq)
+    progress.restart()
     return DONE
 
 
@@ -55,9 +164,8 @@ def _place(v: Vehicle, item: dict[str, Any]) -> Any:
     if item["x"] not in {0, _NOWHERE} or item["y"] not in {0, _NOWHERE}:
         place[:2] = v.environment.geodesy.metres(item["x"] * 1e-7, item["y"] * 1e-7)
     if math.isfinite(item["z"]):
-        home = v.home if v.home is not None else v.origin
         relative = item["frame"] in _RELATIVE
-        place[2] = item["z"] + (home[2] if relative else -v.environment.geodesy.altitude)
+        place[2] = item["z"] + (v.home_height() if relative else -v.environment.geodesy.altitude)
     return place
 
 
@@ -66,7 +174,7 @@ def _go(v: Vehicle, item: dict[str, Any], acceptance: float) -> bool:
     progress = v.mission_progress
     if progress.goal is None:
         progress.goal = _place(v, item)
-        controller_goals.go(v, progress.goal)
+        v.go(progress.goal)
         if math.isfinite(item["param4"]) and item["param4"] and item["command"] == _WAYPOINT:
             v.bodies.goal_yaw[v.index] = math.pi / 2 - math.radians(item["param4"])
     away = progress.goal - v.estimated()
@@ -100,7 +208,7 @@ def _take_off(v: Vehicle, item: dict[str, Any], _: float) -> bool:
     if progress.goal is None:
         progress.goal = _place(v, item)
         progress.goal[:2] = v.estimated()[:2]
-        controller_goals.go(v, progress.goal)
+        v.go(progress.goal)
     return bool(v.estimated()[2] > progress.goal[2] - 0.5)
 
 
@@ -110,7 +218,7 @@ def _land(v: Vehicle, item: dict[str, Any], acceptance: float) -> bool:
     if progress.wait_until is None:
         if progress.goal is None:
             progress.goal = _place(v, {**item, "z": math.nan})
-            controller_goals.go(v, progress.goal)
+            v.go(progress.goal)
         away = progress.goal - v.estimated()
         if np.hypot(away[0], away[1]) >= min(acceptance, 1.0):
             return False
@@ -131,7 +239,7 @@ def _jump(v: Vehicle, item: dict[str, Any], _: float) -> bool:
 
 
 def _speed(v: Vehicle, item: dict[str, Any], _: float) -> bool:
-    controller_goals.set_speed(v, item["param2"])
+    v.set_speed(item["param2"])
     return True
 
 

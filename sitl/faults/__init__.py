@@ -1,1 +1,0 @@
-"""Faults: the scenario file, their injection, their names over MAVLink, and link errors."""
