@@ -165,7 +165,7 @@ class Emulator:
         for k, (name, rate) in enumerate(rates.items()):
             phase = float(spread[(k * 3 + vehicle.index) % len(spread)]) / rate
             link.stream(name, 1.0 / rate, vehicle.now + phase)
-        self._links = [(v, one) for v in self.vehicles for one in v.links]
+        self._links = [(v, each) for v in self.vehicles for each in v.links]
         return link
 
     def close_link(self, vehicle: Vehicle, link: Link) -> None:
@@ -174,7 +174,7 @@ class Emulator:
         vehicle.parameter_queue = [
             entry for entry in vehicle.parameter_queue if entry[0] is not link
         ]
-        self._links = [(v, one) for v in self.vehicles for one in v.links]
+        self._links = [(v, each) for v in self.vehicles for each in v.links]
 
     def _attach_tied(self) -> None:
         if self.rope is None or self.world.cable is None:
@@ -209,12 +209,12 @@ class Emulator:
         """Deliver bytes to vehicles; those on links with faults wait in their channels."""
         if self.injector.link_faults:
             direct, up = [], self.injector.up
-            for one in sent:
-                channel = up[one[0].index]
+            for packet in sent:
+                channel = up[packet[0].index]
                 if channel.fault is None and not channel.queue:
-                    direct.append(one)
+                    direct.append(packet)
                 else:
-                    channel.push_all((one,), now)
+                    channel.push_all((packet,), now)
             sent = direct
         self._incoming.deliver(sent, now)
 

@@ -222,12 +222,12 @@ def parse_yaml(text: str, name: str) -> Any:
 
 
 def _each_key_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    mapping: dict[str, Any] = {}
     for key, value in pairs:
-        if key in found:
+        if key in mapping:
             raise KeyError(key)
-        found[key] = value
-    return found
+        mapping[key] = value
+    return mapping
 
 
 def _refuse_hostile(loader: YAML, text: str, name: str) -> None:
@@ -256,25 +256,25 @@ def _depth(text: str) -> int:
 def explain(error: ValidationError, name: str) -> str:
     """Return every validation error as a line ``name: key.path: expected …, got …``."""
     lines = []
-    for one in error.errors():
-        place = ".".join(str(part) for part in one["loc"])
-        if one["type"] == "value_error":
+    for problem in error.errors():
+        place = ".".join(str(part) for part in problem["loc"])
+        if problem["type"] == "value_error":
             where = f"{place}: " if place else ""
-            lines.append(f"{name}: {where}{one['msg'].removeprefix('Value error, ')}")
-        elif one["type"] == "extra_forbidden":
+            lines.append(f"{name}: {where}{problem['msg'].removeprefix('Value error, ')}")
+        elif problem["type"] == "extra_forbidden":
             lines.append(f"{name}: {place}: expected a known key, got an unknown one")
-        elif one["type"] == "missing":
+        elif problem["type"] == "missing":
             lines.append(f"{name}: {place}: expected a value, got none")
         else:
-            message = one["msg"].removeprefix("Input should be ").strip()
-            message = "a mapping of keys" if one["type"] == "model_type" else message
-            lines.append(f"{name}: {place or 'file'}: expected {message}, got {_short(one)}")
+            message = problem["msg"].removeprefix("Input should be ").strip()
+            message = "a mapping of keys" if problem["type"] == "model_type" else message
+            lines.append(f"{name}: {place or 'file'}: expected {message}, got {_short(problem)}")
     return "\n".join(lines)
 
 
-def _short(one: Any) -> str:
+def _short(problem: Any) -> str:
     try:
-        text = repr(one["input"])
+        text = repr(problem["input"])
     except ValueError:  # Python writes no integer of more than 4300 digits
         text = "a number of thousands of digits"
     return text if len(text) <= 60 else text[:57] + "…"

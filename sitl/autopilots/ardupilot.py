@@ -462,14 +462,14 @@ class ArduPilot(Autopilot):
         if not p.integer("FENCE_ENABLE") or not self.position_ok():
             return 0
         here, home = v.estimated(), v.home if v.home is not None else v.origin
-        found = 0
+        outside = 0
         if here[2] - home[2] > p["FENCE_ALT_MAX"]:
-            found |= ALTITUDE
+            outside |= ALTITUDE
         if math.hypot(here[0] - home[0], here[1] - home[1]) > p["FENCE_RADIUS"]:
-            found |= CIRCLE
+            outside |= CIRCLE
         if breached(v.fence, float(here[0]), float(here[1])):
-            found |= POLYGON
-        return found & p.integer("FENCE_TYPE")
+            outside |= POLYGON
+        return outside & p.integer("FENCE_TYPE")
 
     def change(self, number: int, *, failsafe: bool = False) -> int:
         """Change the mode, if it exists and can run; return the MAV_RESULT."""
@@ -672,8 +672,8 @@ class ArduPilot(Autopilot):
         if self.mode == LAND:
             return
         if (self.mode == AUTO and options & _GCS_IN_AUTO) or (manual and options & _GCS_WITH_PILOT):
-            kept = "Auto Mode" if self.mode == AUTO else "Pilot Control"
-            v.text(WARNING, f"GCS Failsafe - Continuing {kept}")
+            continued = "Auto Mode" if self.mode == AUTO else "Pilot Control"
+            v.text(WARNING, f"GCS Failsafe - Continuing {continued}")
             return
         v.text(WARNING, "GCS Failsafe")
         self.fail_to(action)

@@ -393,7 +393,10 @@ class Spans:
     def __init__(
         self, spans: Sequence[tuple[int, int, float, float]], arc: Array, floor: float
     ) -> None:
-        """``spans`` are (holder, next holder, length, arc of the start), ``arc`` all samples."""
+        """``spans`` are (holder, next holder, length, arc of the start), ``arc`` all samples.
+
+        ``index`` (2, k) are the samples on spans, and the span of each.
+        """
         self.floor = floor
         self.count = len(spans)
         self.starts: Indices = np.array([s[0] for s in spans], dtype=np.intp)
@@ -412,18 +415,6 @@ class Spans:
             held = (number >= 0) & (along >= 0) & (along <= self.lengths[number])
             self.index = np.stack([np.nonzero(held)[0], number[held]])
             self._along = along[held]
-
-    @property
-    def samples(self) -> Indices:
-        """The samples on spans (k,)."""
-        samples: Indices = self.index[0]
-        return samples
-
-    @property
-    def span_of(self) -> Indices:
-        """The span of each of these samples (k,)."""
-        spans: Indices = self.index[1]
-        return spans
 
     def sum_over_holders(self, forces: Array, count: int) -> Array:
         """Return the sums (count, 3) of the forces on all starts, then all stops (2 m, 3)."""
@@ -516,9 +507,9 @@ class Rope(Cable):
         spans = self._spans
         if not spans.count:
             return
-        sampled = spans.samples % stride == 0
-        span_of = spans.span_of[sampled]
-        wash = speed[spans.samples[sampled] // stride]
+        sampled = spans.index[0] % stride == 0
+        samples, span_of = spans.index[:, sampled]
+        wash = speed[samples // stride]
         if not np.count_nonzero(wash):
             spans.set_load(self.weight)
             return
@@ -556,12 +547,12 @@ class Rope(Cable):
         broken = np.array(self.breaks)
         spans: list[tuple[int, int, float, float]] = []
         ends: list[tuple[int, float, float]] = []
-        for (arc, one), (next_arc, other) in itertools.pairwise(self.grips):
+        for (arc, holder), (next_arc, next_holder) in itertools.pairwise(self.grips):
             cut = broken[(broken > arc) & (broken < next_arc)]
             if len(cut):
-                ends += [(one, arc, float(cut[0])), (other, next_arc, float(cut[-1]))]
+                ends += [(holder, arc, float(cut[0])), (next_holder, next_arc, float(cut[-1]))]
             else:
-                spans.append((one, other, next_arc - arc, arc))
+                spans.append((holder, next_holder, next_arc - arc, arc))
         if self.grips:
             first, last = self.grips[0], self.grips[-1]
             low = max([0.0, *(b for b in self.breaks if b < first[0])])

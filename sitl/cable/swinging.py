@@ -307,9 +307,9 @@ def _touch_floor(chain: Chain, spec: ChainSpec, after: Array, step: float) -> No
         after[i, 2] = spec.floor
         east, north = after[i, 0] - chain.place[i, 0], after[i, 1] - chain.place[i, 1]
         moved = np.sqrt(east * east + north * north)
-        kept = max(0.0, 1.0 - spec.friction * spec.gravity * step * step / max(moved, 1e-12))
-        after[i, 0] = chain.place[i, 0] + kept * east
-        after[i, 1] = chain.place[i, 1] + kept * north
+        share = max(0.0, 1.0 - spec.friction * spec.gravity * step * step / max(moved, 1e-12))
+        after[i, 0] = chain.place[i, 0] + share * east
+        after[i, 1] = chain.place[i, 1] + share * north
 
 
 @inner
@@ -483,13 +483,13 @@ class SwingingRope(Cable):
     def solved(self) -> SpanState:
         """State of the unbroken spans between neighbouring grips."""
         tension, chord, length = [], [], []
-        for (first, one), (last, other) in itertools.pairwise(
+        for (first, (start, _)), (last, (stop, _)) in itertools.pairwise(
             zip(self._held, self.grips, strict=True)
         ):
             if self._chain.intact[first:last].all():
                 tension.append(self._chain.tension[first:last].max())
                 chord.append(np.linalg.norm(self._chain.place[last] - self._chain.place[first]))
-                length.append(other[0] - one[0])
+                length.append(stop - start)
         return SpanState(np.array(tension), np.array(chord), np.array(length))
 
     def _at(self, arc: Array) -> Array:

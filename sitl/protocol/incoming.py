@@ -54,8 +54,8 @@ class Incoming:
     def deliver(self, received: Iterable[Received], now: float) -> None:
         """Deliver bytes at emulated time ``now``, in the order of their arrival."""
         batch: list[Received] = []
-        for one in received:
-            vehicle, link, data = one
+        for packet in received:
+            vehicle, link, data = packet
             vehicle.now = max(vehicle.now, now)
             if (
                 len(data) == LENGTH
@@ -63,12 +63,12 @@ class Incoming:
                 and link.receiver.plain
                 and not vehicle.frozen
             ):
-                batch.append(one)
+                batch.append(packet)
             else:
                 if batch:
                     self._set_goals(batch)
                     batch = []
-                self._parse(one)
+                self._parse(packet)
         if batch:
             self._set_goals(batch)
 
@@ -86,8 +86,8 @@ class Incoming:
             self._parse(batch[done])
             batch = batch[done + 1 :]
 
-    def _parse(self, one: Received) -> None:
-        vehicle, link, data = one
+    def _parse(self, packet: Received) -> None:
+        vehicle, link, data = packet
         for message in link.receiver.feed(data):
             self._handle(vehicle, message, link)
 

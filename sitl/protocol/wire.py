@@ -20,7 +20,6 @@ MAGIC = 0xFD
 SETPOINT_LOCAL = 84
 _pack_head = struct.Struct("<6BHx").pack
 _pack_checksum = struct.Struct("<H").pack
-_SETPOINT = struct.Struct("<I11fHBBB")
 _WHOLE_SETPOINT = struct.Struct("<5xBB3x4x11fHBBB2x")
 SETPOINT_LENGTH = _WHOLE_SETPOINT.size
 _WHOLE, _NUMBER = b"\xfd\x35\0", bytes([SETPOINT_LOCAL, 0, 0])
@@ -46,7 +45,7 @@ class MessageLayout:
 
 
 def _layouts() -> dict[str, MessageLayout]:
-    found = {}
+    layouts = {}
     for number, message in dialect.mavlink_map.items():
         kinds = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
         blank: list[Any] = []
@@ -57,10 +56,10 @@ def _layouts() -> dict[str, MessageLayout]:
             places[name] = (len(blank), 0 if text else length)
             blank += [b""] if text else [0] * max(length, 1)
         seed = bytes([message.crc_extra])
-        found[message.msgname] = MessageLayout(number, message.unpacker, seed, blank, places)
-    found["EKF_STATUS_REPORT"] = _ekf_status_report()
-    found |= {name: _newer_layout(*described) for name, described in _NEWER_MESSAGES.items()}
-    return found
+        layouts[message.msgname] = MessageLayout(number, message.unpacker, seed, blank, places)
+    layouts["EKF_STATUS_REPORT"] = _ekf_status_report()
+    layouts |= {name: _newer_layout(*described) for name, described in _NEWER_MESSAGES.items()}
+    return layouts
 
 
 _NEWER_MESSAGES: dict[str, tuple[int, int, str, str]] = {
@@ -289,47 +288,21 @@ class Receiver:
 
     def feed(self, data: bytes) -> list[Any]:
         """Return the messages (or `Setpoint` tuples) that ``data`` completes."""
-        found: list[Any] = []
-        if self.plain:
-            data = self._fast(data, found)
-        if data:
-            self._slow(data, found)
-        return found
-
-    def _fast(self, data: bytes, found: list[Any]) -> bytes:
-        whole = setpoint_in(data)
-        if whole is not None:
-            found.append(whole)
-            return b""
-        while len(data) >= 12 and data[0] == MAGIC and data[7] == SETPOINT_LOCAL:
-            length = data[1]
-            end = _HEADER_LENGTH + length + 2
-            if data[2] or data[8] or data[9] or len(data) < end or length > _SETPOINT.size:
-                break
-            checksum = int.from_bytes(data[end - 2 : end], "little")
-            if _crc(data[1 : end - 2] + b"\x8f") != checksum:
-                break
-            v = _SETPOINT.unpack(data[_HEADER_LENGTH : end - 2].ljust(_SETPOINT.size, b"\0"))
-            found.append(
-                Setpoint(data[5], data[6], v[13], v[14], v[15], v[12], v[1:10], v[10], v[11])
-            )
-            data = data[end:]
-        return data
-
-    def _slow(self, data: bytes, found: list[Any]) -> None:
+        setpoint = setpoint_in(data) if self.plain else None
+        if setpoint is not None:
+            return [setpoint]
         try:
             messages = self._whole(data) or self._parser.parse_buffer(data) or []
         except (dialect.MAVError, struct.error, ValueError, IndexError, UnicodeDecodeError):
             self._reset()
-            return
-        for message in messages:
-            if message.get_type() == "BAD_DATA":
-                self.bad += 1
-            elif message.get_msgId() == SETPOINT_LOCAL:
-                found.append(setpoint_of(message))
-            else:
-                found.append(message)
+            return []
         self._pending = self._parser.buf_len() > 0
+        valid = [message for message in messages if message.get_type() != "BAD_DATA"]
+        self.bad += len(messages) - len(valid)
+        return [
+            setpoint_of(message) if message.get_msgId() == SETPOINT_LOCAL else message
+            for message in valid
+        ]
 
     def _whole(self, data: bytes) -> list[Any]:
         """Return the message in ``data``, if that is exactly one valid unsigned packet.
