@@ -52,7 +52,7 @@ def _request_message(v: Vehicle, command: Command) -> int:
         return ACCEPTED if known and send_message(v, name, command.link) else DENIED
     if not known or name in _NOT_ARDUPILOT:
         return FAILED
-    v.acknowledge(command.number, ACCEPTED, command.link, command.system, command.component)
+    v.acknowledge(command, ACCEPTED)
     send_message(v, name, command.link)
     return NO_ACK
 
@@ -96,8 +96,7 @@ def _gripper(v: Vehicle, command: Command) -> int:
     if command.p[1] not in (0.0, 1.0):
         return DENIED
     delay = float(v.rng.uniform(0.4, 0.7))
-    sender = command.link, command.system, command.component
-    v.gripper.start(GripperRequest(v.now + delay, command.p[1] == 1.0, *sender))
+    v.gripper.start(GripperRequest(v.now + delay, command.p[1] == 1.0, command))
     return IN_PROGRESS if v.is_px4 else NO_ACK
 
 
@@ -224,8 +223,8 @@ def _command_int(v: Vehicle, message: Any, link: Link) -> None:
 
 
 def _command(v: Vehicle, message: Any, p: list[float], xy: tuple[int, int], link: Link) -> None:
-    number, sender = message.command, (message.get_srcSystem(), message.get_srcComponent())
-    command = Command(number, p, *xy, link, *sender)
+    number = message.command
+    command = Command(number, p, *xy, link, message.get_srcSystem(), message.get_srcComponent())
     common = COMMANDS.get(number)
     try:
         result = common(v, command) if common else v.autopilot.handle_command(command)
@@ -234,9 +233,9 @@ def _command(v: Vehicle, message: Any, p: list[float], xy: tuple[int, int], link
     if result is None:
         result = UNSUPPORTED
     if result != NO_ACK:
-        v.acknowledge(number, result, link, *sender)
+        v.acknowledge(command, result)
         if number == dialect.MAV_CMD_DO_SET_MODE and v.is_px4:
-            v.acknowledge(number, result, link, *sender)
+            v.acknowledge(command, result)
 
 
 def _set_mode(v: Vehicle, message: Any, link: Link) -> None:

@@ -13,7 +13,6 @@ from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
-from pymavlink.dialects.v20 import common as dialect
 
 from sitl.physics.dynamics import Bodies
 from sitl.physics.geodesy import Geodesy
@@ -37,13 +36,11 @@ _BRAKING = 3.0
 
 @dataclass(frozen=True)
 class GripperRequest:
-    """A movement of the gripper: its end time, and the sender that gets the result, if any."""
+    """A movement of the gripper: its end time, and the command that gets the result, if any."""
 
     at: float
     grab: bool
-    link: Link | None = None
-    system: int = 0
-    component: int = 0
+    command: Command | None = None
 
 
 @dataclass
@@ -538,26 +535,22 @@ class Vehicle:
         fields["target_component"] = message.get_srcComponent()
         self.send(name, link, **fields)
 
-    def acknowledge(
-        self, command: int, result: int, link: Link, system: int, component: int
-    ) -> None:
-        """Send COMMAND_ACK."""
+    def acknowledge(self, command: Command, result: int) -> None:
+        """Send COMMAND_ACK to the sender of a command."""
         self.send(
             "COMMAND_ACK",
-            link,
-            command=command,
+            command.link,
+            command=command.number,
             result=result,
-            target_system=system,
-            target_component=component,
+            target_system=command.system,
+            target_component=command.component,
         )
 
     def finish_gripper(self) -> None:
         """Complete the gripper movements that are due, and acknowledge them."""
-        number = dialect.MAV_CMD_DO_GRIPPER
         for request, done in self.gripper.finish(self.now):
-            if request.link is not None:
-                result = ACCEPTED if done else FAILED
-                self.acknowledge(number, result, request.link, request.system, request.component)
+            if request.command is not None:
+                self.acknowledge(request.command, ACCEPTED if done else FAILED)
 
     def reboot(self) -> None:
         """Restart the autopilot: it sends nothing for a while and loses its volatile state."""

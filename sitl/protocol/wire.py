@@ -127,6 +127,8 @@ def template(name: str, varying: str, **constant: Any) -> Callable[..., bytes]:
     layout = LAYOUTS[name]
     blank = list(layout.struct.unpack(payload(name, constant)))
     places = [layout.places[each] for each in varying.split()]
+    if varying.split() == list(layout.places) and not any(length for _, length in places):
+        return layout.struct.pack
 
     def fill(*values: Any) -> bytes:
         filled = blank.copy()
