@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 from swarm.version import __version__
 
 if TYPE_CHECKING:
-    from swarm.certification.assessment import Tightest
     from swarm.certification.certificate import Certificate
+    from swarm.certification.distances import Tightest
     from swarm.certification.findings import Finding
     from swarm.errors import InputError, Refused, SwarmError, VehicleError
     from swarm.flight.trace import Trace
@@ -50,7 +50,7 @@ else:
         "swarm.mission": ("Mission",),
         "swarm.mission.fleet": ("Fleet",),
         "swarm.certification.certificate": ("Certificate",),
-        "swarm.certification.assessment": ("Tightest",),
+        "swarm.certification.distances": ("Tightest",),
         "swarm.certification.findings": ("Finding",),
         "swarm.simulation.monte_carlo": ("Spread", "Trial"),
     }

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from swarm.certification.assessment import Assessment, Contingencies, Tightest
+from swarm.certification.assessment import Assessment, Contingencies
 from swarm.certification.clearances import Moment
+from swarm.certification.distances import Tightest
 from swarm.certification.findings import Finding
 from swarm.errors import Refused
 from swarm.mission import Mission
@@ -56,7 +57,7 @@ def plan_object(plan: Plan, assessment: Assessment) -> dict[str, Any]:
             "slowing": plan.expected_slowing,
             "flight": plan.flight_duration,
         },
-        "clearance": _clearance_object(assessment),
+        "clearance": clearance_object(assessment),
         "robustness": _robustness_object(assessment),
         "tightest": [moment_object(moment) for moment in assessment.tightest],
         "budget": [asdict(row) | {"remaining": row.remaining} for row in assessment.budget],
@@ -77,17 +78,14 @@ def assessment_object(assessment: Assessment) -> dict[str, Any]:
             "chirality": assessment.chirality,
             "gauss": assessment.gauss,
         },
-        "clearance": _clearance_object(assessment),
+        "clearance": clearance_object(assessment),
         "robustness": _robustness_object(assessment),
     }
 
 
-def _clearance_object(assessment: Assessment) -> dict[str, Any]:
-    return {
-        "cable": tightest_object(assessment.cable),
-        "vehicle": tightest_object(assessment.vehicle),
-        "vehicle_cable": tightest_object(assessment.vehicle_cable),
-    }
+def clearance_object(assessment: Assessment) -> dict[str, Any]:
+    """Return the tightest distances by their keys."""
+    return {name: tightest_object(one) for name, one in assessment.distances.items()}
 
 
 def _robustness_object(assessment: Assessment) -> dict[str, Any]:

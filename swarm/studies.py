@@ -15,8 +15,10 @@ from typing import Any, Final
 from joblib import Parallel, delayed
 
 from swarm import planner
-from swarm.certification.assessment import Assessment, Tightest
+from swarm.certification.assessment import Assessment
 from swarm.certification.clearances import largest_tracking, robustness_of
+from swarm.certification.distances import Tightest
+from swarm.certification.kinds import FIGURES
 from swarm.certification.loads import loads
 from swarm.errors import InputError, Problem, Refused, reason
 from swarm.files import parse_json, read_text
@@ -42,7 +44,7 @@ CELL_FACTORS: Final = (1.15, 1.35)
 COLUMNS: Final = (
     "knot", "crossings", "vehicles", "grid_vehicles", "least_vehicles", "cleared", "cell",
     "cable_length", "fold_time",
-    "cable_clearance", "vehicle_clearance", "vehicle_cable_clearance", "cable_clearance_per_cell",
+    *(f"{figure}_clearance" for figure in FIGURES), "cable_clearance_per_cell",
     "max_tracking_error", "max_wind", "budget", "land_share", "release_share", "planning_time",
     "message",
 )  # fmt: skip
@@ -93,9 +95,7 @@ def plan_row(
         "cell": cell,
         "cable_length": float(plan.layout.lengths.sum()),
         "fold_time": fold.duration,
-        "cable_clearance": _distance(assessment.cable),
-        "vehicle_clearance": _distance(assessment.vehicle),
-        "vehicle_cable_clearance": _distance(assessment.vehicle_cable),
+        **{f"{name}_clearance": _distance(one) for name, one in assessment.distances.items()},
         "land_share": assessment.contingencies.land.share if assessment.contingencies else None,
         "release_share": assessment.contingencies.release.share
         if assessment.contingencies

@@ -109,7 +109,7 @@ def test_another_certificate_is_refused_although_its_digests_agree(change, words
 
 
 def test_an_edited_certificate_is_refused_with_every_figure_that_does_not_hold():
-    flown = reviewed().assessment.vehicle.distance
+    flown = reviewed().assessment.distances["vehicle"].distance
 
     def change(document) -> None:
         document["cleared"] = False

@@ -184,7 +184,7 @@ def test_a_flight_has_its_implied_knot_and_tracking_error(tmp_path):
     assert (flight.outcome, flight.knot, flight.as_planned) == ("done", "0_1", True)
     assert flight.within_certificate
     np.testing.assert_array_equal(flight.trace.position, again.trace.position)
-    assert flight.clearance.vehicle.distance >= flight.clearance.vehicle.required
+    assert flight.clearance["vehicle"].distance >= flight.clearance["vehicle"].required
     error = np.linalg.norm(flight.trace.position - flight.trace.setpoint, axis=-1)
     assert 0.0 < flight.tracking_error <= np.nanmax(error)
     flight.plot().savefig(tmp_path / "flight.png")
@@ -203,7 +203,7 @@ def test_trials_are_a_sequence_and_a_table(tmp_path, monkeypatch):
     assert repr(trials).startswith("<Trials 3_1: 2 flown, ")
     table = trials.to_arrow()
     assert table.num_rows == len(trials)
-    assert table["cable"].to_pylist() == [trial.cable for trial in trials]
+    assert table["cable"].to_pylist() == [trial.distances["cable"] for trial in trials]
     trials.to_parquet(tmp_path / "trials.parquet")
     import pyarrow.parquet as pq
 
@@ -226,7 +226,9 @@ def test_an_external_trajectory_is_certified_as_its_plan(tmp_path):
     cable = swarm.Cable(lengths=[3.6, 3.6])
     found = swarm.certify(motion, cable=cable, mission=plan.mission, robustness=False)
     assert found.cleared
-    certified, again = (each.assessment.vehicle.distance for each in (certificate, found))
+    certified, again = (
+        each.assessment.distances["vehicle"].distance for each in (certificate, found)
+    )
     assert again == pytest.approx(certified, abs=0.01)
     foreign = motion.plan(cable, plan.mission)
     assert found.of(foreign)

@@ -15,6 +15,7 @@ from swarm import planner
 from swarm.certification.air import deepest_sinking
 from swarm.certification.budget import ShortBudget
 from swarm.certification.clearances import violations
+from swarm.certification.kinds import kind_of
 from swarm.errors import Refused
 from swarm.mission import mission_for_knot, parse_mission
 from swarm.planner.pacing import slowed_for_swing, timed_for_losses
@@ -22,7 +23,7 @@ from swarm.planner.repairs import Kept, _repaired_at_once, least_short, repair
 from swarm.planner.short_budgets import ShortBudgets, budgets_after_urgent_stops
 from swarm.planning import Plan, digest
 from swarm.planning.candidates import candidates, make_plan
-from swarm.planning.repair import REPAIRABLE, Shortfall
+from swarm.planning.repair import Shortfall
 
 ROOT = Path(__file__).parents[1]
 STILL = ("takeoff", "grab", "contract", "lift", "fold", "hold", "finish", "land")
@@ -223,8 +224,8 @@ def test_clearances_a_short_budget_and_jets_are_repaired_at_once() -> None:
         repaired = _repaired_at_once(replace(first, plan=paced.plan), paced, failures)
         assert repaired is not None
         assert repaired.folding is not None
-        for check in failing | short | {"downwash"}:
-            assert getattr(repaired.folding.schedule.extra, REPAIRABLE[check]).max() > 0.0
+        for margin in {*(kind_of(check).margin for check in failing | short), "jet"}:
+            assert getattr(repaired.folding.schedule.extra, margin).max() > 0.0
         assert _repaired_at_once(replace(first, attempt=12), paced, failures) is None
 
 
@@ -233,7 +234,7 @@ def test_a_closed_budget_counts_first_and_then_the_least_sinking() -> None:
     with planner.one_thread():
         first = next(candidates(mission))
         paced = timed_for_losses(first.plan)
-        low, deep = ([Shortfall("downwash", 60.0, metres)] for metres in (0.01, 0.02))
+        low, deep = ([Shortfall("jet", 60.0, metres)] for metres in (0.01, 0.02))
         moment = ShortBudget("cable clearance", 60.0, 0.001, 0.1)
         short = Kept(first, paced, ShortBudgets((moment,), (moment,), complete=False), ())
         closes = ShortBudgets((), (), complete=True)

@@ -53,10 +53,13 @@ def flown(number: int) -> Trial:
     return fly_trial(FLIGHT_PLAN, Spread(failing=0), 5, number)[0]
 
 
-def trial(number: int = 0, **changed) -> Trial:
+DISTANCES = {"cable": 0.5, "vehicle": 2.0, "vehicle_cable": 0.6, "emulated_cable": 0.5}
+
+
+def trial(number: int = 0, *, distances=(), **changed) -> Trial:
     usual = Trial(
         number=number, outcome="done", reason="", explanation="", knot="0_1", as_planned=True,
-        cable=0.5, vehicle=2.0, vehicle_cable=0.6, emulated_cable=0.5, tracking_error=0.05, rotor_strikes=0, collisions=0,
+        distances={**DISTANCES, **dict(distances)}, tracking_error=0.05, rotor_strikes=0, collisions=0,
         crashes=0, wind=0.1, gust=0.0, failure="", failure_time=None, duration=100.0,
     )  # fmt: skip
     return replace(usual, **changed)
@@ -100,8 +103,8 @@ def test_a_trial_measures_the_true_positions():
     assert (one.outcome, one.reason, one.completed) == ("done", "", True)
     assert one.tracking_error is not None
     assert 0.01 < one.tracking_error < 0.3
-    assert one.cable is not None
-    assert one.emulated_cable == pytest.approx(one.cable, abs=0.1)
+    assert one.distances["cable"] is not None
+    assert one.distances["emulated_cable"] == pytest.approx(one.distances["cable"], abs=0.1)
     assert one.rotor_strikes == one.collisions == one.crashes == 0
 
 
@@ -122,8 +125,9 @@ def test_trials_in_processes_are_the_trials_flown_alone():
     }
     assert together == {0: flown(0), 1: flown(1)}
     alone, shared = (certify_clearances(PLAN, [flown(0)], jobs) for jobs in (1, 2))
-    for name in ("tracking_radius", "cable", "vehicle", "vehicle_cable"):
-        assert np.array_equal(getattr(alone, name), getattr(shared, name))
+    assert np.array_equal(alone.tracking_radius, shared.tracking_radius)
+    for name, bounds in alone.distances.items():
+        assert np.array_equal(bounds, shared.distances[name])
 
 
 def test_trials_before_the_death_of_a_worker_are_kept():
@@ -207,7 +211,7 @@ def test_trials_with_a_failure_are_counted_separately():
 
 def test_trials_with_contacts_are_the_worst():
     trials = [
-        trial(0, cable=0.2),
+        trial(0, distances={"cable": 0.2}),
         trial(1, rotor_strikes=1),
         trial(2, reason="lost", outcome="failed"),
     ]
@@ -216,11 +220,14 @@ def test_trials_with_contacts_are_the_worst():
 
 def test_a_trial_below_its_certificate_is_found():
     table = np.array([0.6, 0.4])
-    certified = CertifiedClearances(np.array([0.05, 0.1]), table, table, table - 1.0)
+    certified = CertifiedClearances(
+        np.array([0.05, 0.1]),
+        {"cable": table, "vehicle": table, "vehicle_cable": table - 1.0},
+    )
     fine, low, wild = (
-        trial(0, cable=0.61),
-        trial(1, cable=0.59),
-        trial(2, cable=0.0, tracking_error=0.5),
+        trial(0, distances={"cable": 0.61}),
+        trial(1, distances={"cable": 0.59}),
+        trial(2, distances={"cable": 0.0}, tracking_error=0.5),
     )
     assert certified.at(0.05, "cable") == 0.6
     assert certified.at(0.06, "cable") == 0.4
@@ -300,7 +307,10 @@ def test_the_terminal_shows_completion_distances_and_the_worst_trials():
 
 
 def test_the_terminal_says_nothing_of_a_cable_or_an_interval_that_is_not_known():
-    trials = [trial(k, cable=None, vehicle_cable=None, emulated_cable=None) for k in range(3)]
+    trials = [
+        trial(k, distances=dict.fromkeys(("cable", "vehicle_cable", "emulated_cable")))
+        for k in range(3)
+    ]
     certified = certify_clearances(PLAN, trials, 1)
     document = summary(PLAN, trials, seed=7, spread=CALM, certified=certified)
     console = Console(file=io.StringIO(), width=80)

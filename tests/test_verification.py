@@ -7,13 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from swarm.certification.distances import closest_strands
 from swarm.flight.trace import Trace
 from swarm.geometry.chain import segment_lengths
 from swarm.geometry.distance import strand_strand
 from swarm.geometry.motion import through_states
 from swarm.mission import mission_for_knot
 from swarm.planning import KnotLayout, KnotSummary, Phase, Plan
-from swarm.verification import closest_strands, tracking_errors, verify_trace
+from swarm.verification import tracking_errors, verify_trace
 
 CELL = 2.4
 CORNERS = CELL * np.array(
@@ -56,12 +57,12 @@ def test_an_exact_flight_implies_the_planned_knot_and_its_clearances(plan):
     assert (flown.knot, flown.chirality, flown.as_planned) == ("3_1", "right", True)
     assert flown.notes == ()
     # Vehicles stand one cell's diagonal apart, strands cross 0.6 m and more above another.
-    assert flown.vehicle is not None
-    assert flown.vehicle.distance == pytest.approx(CELL * np.sqrt(2), abs=1e-6)
-    assert flown.cable is not None
-    assert 0.3 < flown.cable.distance < 0.7
-    assert flown.vehicle_cable is not None
-    assert flown.vehicle_cable.distance > 0.3
+    assert flown.distances["vehicle"] is not None
+    assert flown.distances["vehicle"].distance == pytest.approx(CELL * np.sqrt(2), abs=1e-6)
+    assert flown.distances["cable"] is not None
+    assert 0.3 < flown.distances["cable"].distance < 0.7
+    assert flown.distances["vehicle_cable"] is not None
+    assert flown.distances["vehicle_cable"].distance > 0.3
     assert flown.max_chord_ratio == pytest.approx(
         np.max(np.linalg.norm(np.diff(plan.layout.corners, axis=0), axis=1) / plan.layout.lengths)
     )
@@ -102,10 +103,10 @@ def test_the_closest_moment_is_found_between_the_coarse_samples(plan):
         return place
 
     flown = verify_trace(plan, traced(plan, dipped))
-    assert flown.vehicle is not None
-    assert flown.vehicle.between == ("vehicle 1", "vehicle 2")
-    assert flown.vehicle.distance < 1.0
-    assert flown.vehicle.time == pytest.approx(3.05)
+    assert flown.distances["vehicle"] is not None
+    assert flown.distances["vehicle"].between == ("vehicle 1", "vehicle 2")
+    assert flown.distances["vehicle"].distance < 1.0
+    assert flown.distances["vehicle"].time == pytest.approx(3.05)
 
 
 def test_tracking_errors_per_phase_and_vehicle(plan):
@@ -131,7 +132,7 @@ def test_unknown_positions_are_excluded(plan):
     nothing = verify_trace(plan, traced(plan, lambda _, place: np.full_like(place, np.nan)))
     assert (nothing.knot, nothing.as_planned) == ("unknown", False)
     assert nothing.notes == ("no positions were reported in the hold",)
-    assert nothing.cable is nothing.vehicle is nothing.vehicle_cable is None
+    assert nothing.distances == {"cable": None, "vehicle": None, "vehicle_cable": None}
     assert nothing.tracking == ()
 
 

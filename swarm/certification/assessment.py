@@ -1,6 +1,6 @@
 """All checks of a plan, with their findings, and their result as a frozen value."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from decimal import ROUND_FLOOR, Decimal
 from typing import Literal
@@ -10,9 +10,8 @@ import numpy.typing as npt
 
 from swarm.certification.air import deepest_sinking
 from swarm.certification.budget import Budget, budgets, smallest_budgets
-from swarm.certification.cable_spans import LYING, MOST_EXEMPT, cable_spans, exempt_length
+from swarm.certification.cable_spans import MOST_EXEMPT, cable_spans, exempt_length
 from swarm.certification.clearances import (
-    CLEARANCES,
     Moment,
     Robustness,
     certified_tube,
@@ -20,12 +19,12 @@ from swarm.certification.clearances import (
     limits,
     moments_of,
     robustness_of,
-    segment_name,
     tightest_moments,
-    vehicle_name,
 )
 from swarm.certification.contingency_windows import contingency_windows, longest_stop
+from swarm.certification.distances import Tightest, segment_name, vehicle_name
 from swarm.certification.findings import Finding, Severity
+from swarm.certification.kinds import FIGURES, kind_of
 from swarm.certification.loads import (
     Loads,
     failed_vehicle_load,
@@ -37,26 +36,13 @@ from swarm.certification.motion_bounds import BoundedMotion
 from swarm.certification.stream_loss import StreamLossCertificate, certify_stream_loss
 from swarm.certification.swing_tube import SwingTube, beyond_ordinary, swing_tube
 from swarm.certification.topology import tied_knot
-from swarm.geometry.catenary import MAX_CHORD_RATIO, STANDARD_GRAVITY
+from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.planning import Plan
+from swarm.planning.phase_motion import usable_acceleration
 from swarm.planning.phase_order import finish_of
 
 TIGHTEST = 5
 """Number of tightest moments in every report."""
-
-
-@dataclass(frozen=True)
-class Tightest:
-    """The tightest moment of one kind of clearance.
-
-    ``distance`` is the certified lower bound in metres, for every displacement within the tracking
-    radius; ``between`` names the two objects ("segment 3", "vehicle 5").
-    """
-
-    distance: float
-    required: float
-    time: float
-    between: tuple[str, str]
 
 
 def rounded_down(value: float, decimals: int) -> float:
@@ -91,7 +77,8 @@ class Contingencies:
 class Assessment:
     """Results of all checks of a plan.
 
-    ``moments`` are the tightest of each kind of clearance. ``budget`` lists what reduces the
+    ``distances`` are the tightest by their keys in files (:data:`.kinds.FIGURES`), ``moments`` the
+    tightest of each kind of clearance. ``budget`` lists what reduces the
     distances of the tightest strands. ``contingencies`` is None where the cable is never aloft.
     ``stream_loss`` limits the clock's rate, so that clearances hold after a loss of setpoints.
     ``tube`` bounds the swing of the cable; None without a fold. ``swing_certified`` says whether
@@ -100,9 +87,7 @@ class Assessment:
     """
 
     findings: tuple[Finding, ...]
-    cable: Tightest
-    vehicle: Tightest
-    vehicle_cable: Tightest
+    distances: Mapping[str, Tightest]
     knot: str
     chirality: Literal["left", "right", "none"]
     gauss: str
@@ -117,7 +102,7 @@ class Assessment:
     @property
     def tightest(self) -> tuple[Moment, ...]:
         """The TIGHTEST moments of all clearances, tightest first."""
-        distances = [moment for moment in self.moments if moment.check in CLEARANCES]
+        distances = [moment for moment in self.moments if kind_of(moment.check).listed]
         return tuple(sorted(distances, key=lambda moment: moment.margin)[:TIGHTEST])
 
     @property
@@ -130,17 +115,6 @@ SMOOTH = (("position", "m", 1e-9), ("velocity", "m/s", 1e-6), ("acceleration", "
 """Allowed jumps between pieces of the motion: rounding of polynomials through rows 0.1 ms apart.
 Movement bounds include the first two, limits of acceleration the second; nothing relies on the
 third."""
-
-_CONDITIONS = {
-    "lying": f"{{one}} is more than {LYING:g} m above the floor while its cable must lie there",
-    "drawn out": "{one} and {other} are more than 60° off a line in plan view while cable can lie "
-    "on the floor",
-    "beside rotors": "{one} is too steep beside the rotors of its vehicles while cable can lie on "
-    "the floor",
-    "straight down": "{one} does not descend vertically together with the others: their knot would "
-    "change its shape",
-}
-"""Messages of conditions for cable on the floor."""
 
 
 def clearance_findings(plan: Plan, moments: Iterable[Moment]) -> list[Finding]:
@@ -170,24 +144,12 @@ def _meeting(plan: Plan, failing: Iterable[Moment]) -> list[Finding]:
 def _clearance_finding(plan: Plan, moment: Moment) -> Finding:
     tracking = plan.mission.vehicles.tracking
     one, other = moment.between
-    short = -moment.margin
     errors = f" for tracking errors up to {tracking:g} m" if tracking > 0 else ""
+    failure = kind_of(moment.check).failure
     if not np.isfinite(moment.distance):
         message = f"no distance between {one} and {other} can be certified"
-    elif moment.check == "taut":
-        message = (
-            f"{short:.3f} m of chord beyond {MAX_CHORD_RATIO:.1%} of the length of {one}{errors}"
-        )
-    elif moment.check == "over-stretched on the floor":
-        message = f"{short:.3f} m of chord beyond the length of {one} on the floor"
-    elif moment.check == "rotor disc":
-        message = f"{other} enters the rotor disc of its own {one}{errors}"
-    elif moment.check in _CONDITIONS:
-        message = _CONDITIONS[moment.check].format(one=one, other=other)
-    elif moment.check == "ground":
-        message = f"{short:.3f} m below the floor: {one}"
-    elif moment.check in {"ceiling", "fence"}:
-        message = f"{short:.3f} m beyond {other}: {one}{errors}"
+    elif failure:
+        message = failure.format(short=-moment.margin, one=one, other=other, errors=errors)
     else:
         certified = (
             f"{moment.distance:.3f} m certified between {one} and {other}"
@@ -225,23 +187,18 @@ def smoothness_findings(plan: Plan) -> list[Finding]:
 def limit_findings(plan: Plan) -> list[Finding]:
     """Return errors for speeds and accelerations above the vehicles' limits."""
     vehicles = plan.mission.vehicles
-    usable = vehicles.max_acceleration - vehicles.braking_acceleration
-    reserve = f" ({vehicles.max_acceleration:g} less {vehicles.braking_acceleration:g} to brake)"
-    findings = []
+    usable, findings = usable_acceleration(plan.mission), []
     for family in limits(plan):
         failing = [m for m in moments_of(family) if m.margin < 0.0]
         if not failing:
             continue
         worst = failing[0]
-        largest, unit, why = (
-            (vehicles.max_speed, "m/s", "")
-            if family.check == "speed"
-            else (usable, "m/s²", reserve)
-        )
-        others = " and others" if len(failing) > 1 else ""
-        message = (
-            f"{largest - worst.margin:.3f} {unit} for {worst.between[0]}{others}; "
-            f"{largest:g} {unit} allowed{why}"
+        message = family.kind.failure.format(
+            reached=family.kind.limit(plan.mission) - worst.margin,
+            one=worst.between[0],
+            others=" and others" if len(failing) > 1 else "",
+            vehicles=vehicles,
+            usable=usable,
         )
         findings.append(at_moment("error", family.check, message, worst))
     return findings
@@ -565,9 +522,7 @@ def assess(
     budget = tuple(sorted(rows, key=lambda row: row.remaining))[:BUDGETS]
     assessment = Assessment(
         findings=(),
-        cable=_tightest(moments, ("cable clearance", "neighbouring segments"), plan),
-        vehicle=_tightest(moments, ("vehicle clearance",), plan),
-        vehicle_cable=_tightest(moments, ("vehicle-cable clearance",), plan),
+        distances={figure: _tightest(moments, figure, plan) for figure in FIGURES},
         knot=knot.type,
         chirality=knot.chirality,
         gauss=knot.gauss,
@@ -598,8 +553,8 @@ def with_robustness(
     return replace(assessment, robustness=robustness_of(plan, assessment.moments, progress))
 
 
-def _tightest(moments: Iterable[Moment], checks: tuple[str, ...], plan: Plan) -> Tightest:
-    chosen = [moment for moment in moments if moment.check in checks]
+def _tightest(moments: Iterable[Moment], figure: str, plan: Plan) -> Tightest:
+    chosen = [moment for moment in moments if kind_of(moment.check).figure == figure]
     if not chosen:
         return Tightest(float("inf"), 0.0, float(plan.motion.times[0]), ("", ""))
     worst = min(chosen, key=lambda moment: moment.margin)

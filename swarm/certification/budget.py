@@ -21,7 +21,11 @@ from swarm.certification.air import (
     wind_down,
 )
 from swarm.certification.cable_spans import all_pairs, exempt_length
-from swarm.certification.clearances import Moment, Place, segment_name
+from swarm.certification.clearances import (
+    Moment,
+    Place,
+)
+from swarm.certification.distances import segment_name
 from swarm.certification.excitation import (
     DEVIATIONS,
     STEP,
@@ -30,6 +34,7 @@ from swarm.certification.excitation import (
     speeds_across,
     variances_along,
 )
+from swarm.certification.kinds import kind_of
 from swarm.certification.strand_pieces import BIN
 from swarm.certification.swing_tube import PIECES, PairSwing, swing_tube
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
@@ -159,7 +164,7 @@ def budgets(plan: Plan, moments: Iterable[Moment]) -> tuple[Budget, ...]:
     return tuple(
         budget_at(plan, moment.between, moment.time, moment.required, swing)
         for moment in moments
-        if moment.check in {"cable clearance", "neighbouring segments"}
+        if kind_of(moment.check).budget
     )
 
 

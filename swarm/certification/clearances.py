@@ -4,51 +4,34 @@
 its two grip points; and with ``fold.swing`` in metres, in the tube around it, too
 (:class:`.TubeRadii`).
 
-Theory of operation. A *margin* is a distance less the required one. Each kind of clearance is a
-:class:`.Family`: its pairs of objects, the spans of mission time in which it applies, and an
-evaluator. The evaluator gets boxes, each an interval of time, in wind also of both parts of the
-tilt, and for strands of the fractions along them, and returns for each box a lower bound of the
-margin in the whole box, and a margin that occurs in it. The tracking ball, swing and wind are part
-of the bound, so that a box with a bound above 0 needs no further proof.
+Theory of operation. A *margin* is a distance less the required one. Each kind of clearance is a row
+of the table :data:`.KINDS`, which makes a :class:`.Family` for a plan: its pairs of objects, the
+spans of mission time in which it applies, and an evaluator. The evaluator gets boxes, each an
+interval of time, in wind also of both parts of the tilt, and for strands of the fractions along
+them, and returns for each box a lower bound of the margin in the whole box, and a margin that
+occurs in it. The tracking ball, swing and wind are part of the bound, so that a box with a bound
+above 0 needs no further proof.
 
-:func:`families` lists the kinds; all else walks that list. :func:`certified` asks whether every
-margin is kept, :func:`tightest_moments` measures the smallest of each kind for the certificate,
-:func:`violations` returns where margins fail, second by second, for the repair of a plan. A new
-kind is a family with an evaluator; repairs, reports and pages know kinds by their ``check``.
+:func:`families` walks that table. :func:`certified` asks whether every margin is kept,
+:func:`tightest_moments` measures the smallest of each kind for the certificate, :func:`violations`
+returns where margins fail, second by second, for the repair of a plan. A new
+kind is a row with an evaluator; repairs, monitor, reports and pages walk the same table.
 """
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
-from itertools import chain, pairwise
+from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.air import wind_tilt
-from swarm.certification.bodies import Body, VehiclePairs, VehicleStrands, vehicle_segments
 from swarm.certification.branch_and_bound import Boxes
-from swarm.certification.cable_spans import (
-    LYING,
-    CableSpans,
-    Spans,
-    all_pairs,
-    cable_spans,
-    exempt_length,
-)
-from swarm.certification.far_apart import FarPairs, FarVehicles
-from swarm.certification.limits import (
-    AboveFloor,
-    DerivativeLimit,
-    HeightLimit,
-    InsideFence,
-    InsideFenceInWind,
-    Slack,
-)
+from swarm.certification.cable_spans import cable_spans
+from swarm.certification.kinds import KINDS, ROOT, Case, Family
 from swarm.certification.minima import (
-    ROOT,
-    Family,
     Minima,
     boxes_of,
     most_steps,
@@ -56,16 +39,7 @@ from swarm.certification.minima import (
     smallest_in_boxes,
 )
 from swarm.certification.motion_bounds import BoundedMotion
-from swarm.certification.on_the_floor import (
-    BELOW,
-    BesideRotors,
-    DrawnOut,
-    ReachPairs,
-    ReachVehicles,
-    RigidDescent,
-)
 from swarm.certification.strand_pieces import HeldCable, TubeRadii
-from swarm.certification.strands import StrandPairs
 from swarm.certification.swing_tube import ordinary_tube
 from swarm.planning import Plan
 from swarm.threads import both, side_by_side
@@ -74,24 +48,6 @@ Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 Place = tuple[float, float, float]
 Progress = Callable[[str, float], None]
-
-STRAND = ((0.0, 1.0),)
-"""Interval of the fractions of a strand."""
-
-LIMIT_TOLERANCE = 1e-4
-"""m/s and m/s²; to which the largest speeds and accelerations are computed: a tenth of the last
-digit that findings show."""
-
-CLEARANCES = (
-    "cable clearance",
-    "neighbouring segments",
-    "reach on the floor",
-    "vehicle clearance",
-    "vehicle-cable clearance",
-    "rotor disc",
-    "floor",
-)
-"""Checks whose moments are distances; the tightest of them are reported together."""
 
 
 @dataclass(frozen=True)
@@ -122,16 +78,6 @@ class Robustness:
 
     tracking: float | None = None
     wind: float | None = None
-
-
-def segment_name(index: int) -> str:
-    """Return the name of a segment, counted from 1 along the cable."""
-    return f"segment {index + 1}"
-
-
-def vehicle_name(index: int) -> str:
-    """Return the name of a vehicle, counted from 1 along the cable."""
-    return f"vehicle {index + 1}"
 
 
 def tightest_moments(
@@ -238,16 +184,24 @@ def families_of(plan: Plan, *, swinging: bool = True) -> Callable[..., tuple[Fam
 
     def families(tracking: float, tilt: float = 0.0) -> tuple[Family, ...]:
         cable = HeldCable(motion, plan.layout.lengths, tracking, tilt, tube)
-        every = (
-            *_strands(plan, cable, spans),
-            *_on_the_floor(plan, cable, spans),
-            *_vehicles(plan, motion, tracking),
-            *_bodies(plan, cable, spans),
-            *_fences(plan, cable, spans),
-        )
-        return tuple(family for family in every if family.spans and family.names)
+        return _families(Case(plan, spans, cable), "m")
 
     return families
+
+
+def limits(plan: Plan) -> tuple[Family, ...]:
+    """Return the limits of vehicles' motion, with margins in m/s and m/s².
+
+    Every piece of the motion is a span of its own, since jerk is bounded within pieces only.
+    """
+    cable = HeldCable(BoundedMotion(plan.motion), plan.layout.lengths, 0.0)
+    return _families(Case(plan, cable_spans(plan), cable), "m/s", "m/s²")
+
+
+def _families(case: Case, *units: str) -> tuple[Family, ...]:
+    """Return the non-empty families of the kinds whose margins have one of these units."""
+    every = (kind.family(case) for kind in KINDS if kind.unit in units)
+    return tuple(family for family in every if family is not None)
 
 
 def certified_tube(plan: Plan) -> TubeRadii | None:
@@ -258,189 +212,6 @@ def certified_tube(plan: Plan) -> TubeRadii | None:
     asked for.
     """
     return ordinary_tube(plan) if plan.mission.fold.certifies_swing else None
-
-
-def _always(plan: Plan) -> Spans:
-    return [(float(plan.motion.times[0]), float(plan.motion.times[-1]))]
-
-
-def _segments(plan: Plan, other: str) -> list[tuple[str, str]]:
-    return [(segment_name(i), other) for i in range(plan.vehicles - 1)]
-
-
-def _each_vehicle(plan: Plan, other: str) -> list[tuple[str, str]]:
-    return [(vehicle_name(i), other) for i in range(plan.vehicles)]
-
-
-def _strands(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, ...]:
-    """Hanging strands: not taut, apart, and above the floor."""
-    clearance, diameter = plan.mission.clearance, plan.mission.cable.diameter
-    pairs, parts = all_pairs(plan.layout.lengths, exempt_length(plan), once=bool(cable.tilts))
-    neighbours = pairs[:, 1] == pairs[:, 0] + 1
-    # Boxes around neighbours, which meet at their vehicle, are never apart.
-    far = FarPairs(cable, pairs[~neighbours], clearance.cable + diameter)
-
-    def distances(which: npt.NDArray[np.bool_], check: str) -> Family:
-        names = [(segment_name(i), segment_name(j)) for i, j in pairs[which]]
-        evaluate = StrandPairs(cable, pairs[which], parts[which], diameter, clearance.cable)
-        others = (*cable.tilts, *STRAND, *STRAND)
-        return Family(check, names, clearance.cable, spans.suspended, evaluate, others)
-
-    return (
-        Family("taut", _segments(plan, "its length"), 0.0, spans.hanging, Slack(cable)),
-        replace(distances(~neighbours, "cable clearance"), far=far),
-        distances(neighbours, "neighbouring segments"),
-        Family(
-            "floor", _segments(plan, "the floor"), clearance.floor, spans.aloft,
-            AboveFloor(cable, diameter, clearance.floor),
-            (*cable.tilts, *STRAND) if cable.tilts else (),
-        ),
-    )  # fmt: skip
-
-
-def _on_the_floor(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, ...]:
-    """Cable that lies, is lifted as a line, or descends with a knot: its state, and distances.
-
-    The model of hanging cable is not needed where these hold.
-    """
-    clearance, vehicles = plan.mission.clearance, plan.mission.vehicles
-    motion, diameter = cable.motion, plan.mission.cable.diameter
-    first, second = np.triu_indices(plan.vehicles - 1, 2)
-    apart = np.stack([first, second], axis=1)
-    other, _ = vehicle_segments(plan.vehicles)
-    half = 0.5 * diameter
-    rim = max(vehicles.grip_offset - half, 0.0) / (vehicles.radius + half)
-    line = [(segment_name(i), segment_name(i + 1)) for i in range(plan.vehicles - 2)]
-    begins = np.array([start for start, _ in spans.landing])
-    return (
-        Family(
-            "reach on the floor", [(segment_name(i), segment_name(j)) for i, j in apart],
-            clearance.cable, spans.low, ReachPairs(cable, apart, diameter, clearance.cable),
-        ),
-        Family(
-            "reach on the floor", [(vehicle_name(i), segment_name(j)) for i, j in other],
-            clearance.vehicle_cable, spans.low,
-            ReachVehicles(
-                cable, other, vehicles.radius, vehicles.grip_offset, diameter,
-                clearance.vehicle_cable,
-            ),
-        ),
-        Family(
-            "over-stretched on the floor", _segments(plan, "its length"), 0.0, spans.dragged,
-            Slack(HeldCable(motion, plan.layout.lengths, 0.0), share=1.0),
-        ),
-        Family(
-            "lying", _each_vehicle(plan, "the floor"), 0.0, spans.dragged,
-            HeightLimit(motion, LYING, -1.0),
-        ),
-        Family("drawn out", line, 0.0, spans.low, DrawnOut(motion)),
-        Family(
-            "beside rotors", _segments(plan, "its vehicles"), 0.0, spans.low,
-            BesideRotors(motion, cable.tracking, rim),
-        ),
-        Family(
-            "straight down", _each_vehicle(plan, "the others"), 0.0, spans.landing,
-            RigidDescent(motion, begins),
-        ),
-    )  # fmt: skip
-
-
-def _vehicles(plan: Plan, motion: BoundedMotion, tracking: float) -> tuple[Family, ...]:
-    """Vehicles: apart, on or above the floor, and below the ceiling."""
-    mission, always = plan.mission, _always(plan)
-    clearance = mission.clearance
-    team = np.stack(np.triu_indices(plan.vehicles, 1), axis=1)
-    return (
-        Family(
-            "vehicle clearance", [(vehicle_name(i), vehicle_name(j)) for i, j in team],
-            clearance.vehicle, always,
-            VehiclePairs(motion, team, tracking, clearance.vehicle, clearance.downwash),
-        ),
-        Family(
-            "ground", _each_vehicle(plan, "the floor"), 0.0, always,
-            HeightLimit(motion, -BELOW, 1.0), tolerance=BELOW,
-        ),
-        Family(
-            "ceiling", _each_vehicle(plan, "the ceiling"), 0.0, always,
-            HeightLimit(
-                motion,
-                mission.workspace.ceiling - mission.vehicles.grip_offset - tracking,
-                sign=-1.0,
-            ),
-        ),
-    )  # fmt: skip
-
-
-def _bodies(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, ...]:
-    """Vehicles and hanging cable."""
-    vehicles = plan.mission.vehicles
-    other, own = vehicle_segments(plan.vehicles)
-    body, diameter = Body(vehicles.radius, vehicles.grip_offset), plan.mission.cable.diameter
-
-    def bodies(chosen: npt.NDArray[np.intp], check: str, required: float) -> Family:
-        names = [(vehicle_name(i), segment_name(j)) for i, j in chosen]
-        evaluate = VehicleStrands(cable, chosen, body, diameter, np.full(len(chosen), required))
-        return Family(check, names, required, spans.suspended, evaluate, (*cable.tilts, *STRAND))
-
-    from_others = plan.mission.clearance.vehicle_cable
-    far = FarVehicles(
-        cable, other, vehicles.radius, vehicles.grip_offset, from_others + 0.5 * diameter
-    )
-    return (
-        replace(bodies(other, "vehicle-cable clearance", from_others), far=far),
-        bodies(own, "rotor disc", 0.0),
-    )
-
-
-def limits(plan: Plan) -> tuple[Family, ...]:
-    """Return the limits of vehicles' motion, with margins in m/s and m/s².
-
-    The reserve for braking along the path is not available: a setpoint's acceleration is r²a + ṙv
-    at the clock's rate r. Every piece of the motion is a span of its own, since jerk is bounded
-    within pieces only.
-    """
-    vehicles = plan.mission.vehicles
-    motion = BoundedMotion(plan.motion)
-    pieces = list(pairwise(plan.motion.times.tolist()))
-    names = _each_vehicle(plan, "")
-    reserve = vehicles.max_acceleration - vehicles.braking_acceleration
-    return (
-        Family(
-            "speed", names, 0.0, pieces, DerivativeLimit(motion, vehicles.max_speed, 1),
-            tolerance=LIMIT_TOLERANCE,
-        ),
-        Family(
-            "acceleration", names, 0.0, pieces, DerivativeLimit(motion, reserve, 2),
-            tolerance=LIMIT_TOLERANCE,
-        ),
-    )  # fmt: skip
-
-
-def _fences(plan: Plan, cable: HeldCable, spans: CableSpans) -> tuple[Family, ...]:
-    """Vehicles and held cable within the fence; in wind only cable that hangs free."""
-    if plan.mission.workspace.fence is None:
-        return ()
-    fence = np.array(plan.mission.workspace.fence)
-    vehicles, diameter = np.arange(plan.vehicles), plan.mission.cable.diameter
-    motion, tracking = cable.motion, cable.tracking
-    reach = np.full(len(vehicles) - 1, 0.5 * diameter)
-    if cable.tube is not None:
-        reach += cable.tube.whole.max(axis=0)
-    upright = InsideFence(motion, tracking, fence, vehicles[:-1], vehicles[1:], reach)
-    if cable.tilts:
-        leaning = InsideFenceInWind(cable, fence, diameter)
-        names, others = _segments(plan, "the fence"), (*cable.tilts, *STRAND)
-        strands = Family("fence", names, 0.0, spans.suspended, leaning, others)
-    else:
-        strands = Family("fence", _segments(plan, "the fence"), 0.0, spans.ever, upright)
-    radius = np.full(len(vehicles), plan.mission.vehicles.radius)
-    return (
-        Family(
-            "fence", _each_vehicle(plan, "the fence"), 0.0, _always(plan),
-            InsideFence(motion, tracking, fence, vehicles, vehicles, radius),
-        ),
-        strands,
-    )  # fmt: skip
 
 
 MOST_TRACKING = 1.0
@@ -538,18 +309,9 @@ def _windy(plan: Plan) -> Callable[[float], tuple[Family, ...]]:
         found = checks(plan.mission.vehicles.tracking, wind_tilt(plan, speed))
         if speed == 0.0:
             return found
-        return tuple(family for family in found if family.check not in _WINDLESS)
+        return tuple(family for family in found if family.kind.wind)
 
     return at
-
-
-_WINDLESS = frozenset(
-    {
-        "taut", "vehicle clearance", "ground", "ceiling", "reach on the floor",
-        "over-stretched on the floor", "lying", "drawn out", "beside rotors", "straight down",
-    }
-)  # fmt: skip
-"""Checks that are the same in any wind: of vehicles, of chords, and of the reach of cable."""
 
 
 def _largest(

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.kinds import KINDS
 from swarm.certification.team_margins import (
     CHORDS,
-    KIND_NAMES,
-    KINDS,
+    PLACES,
     STRANDS,
     Query,
     Required,
@@ -40,6 +40,9 @@ SLOWING_MARGIN = 0.1
 radius."""
 SLOWEST = 0.3
 """Smallest rate of the clock for the swing: a stop would swing the strands anew."""
+
+_NAMES = {kind.place: kind.check for kind in KINDS}
+"""Names of the kinds, by their places in arrays of margins."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,7 @@ class Monitor:
             strands = here[:, STRANDS] + self._clearance.cable
             strands[here[:, CHORDS] < 0.0] = np.nan
         return [
-            Clearances(float(s), float(v), float(r), float(m.min()), KIND_NAMES[int(m.argmin())])
+            Clearances(float(s), float(v), float(r), float(m.min()), _NAMES[int(m.argmin())])
             for s, v, r, m in zip(strands, vehicle, ratio, low, strict=True)
         ]
 
@@ -107,14 +110,14 @@ class Monitor:
         vehicle with it than its catenary at the moments (k, n, 3).
         """
         team, strands = self._memory
-        found = np.full((2, len(moments), KINDS), SLOWING_MARGIN)
+        found = np.full((2, len(moments), PLACES), SLOWING_MARGIN)
         swinging = team, strands._replace(stray=contiguous(strays))
         _write_strand_margins(contiguous(moments), self._required, swinging, found)
         return max(SLOWEST, _clock_rate(float(found[0].min())))
 
     def _margins(self, moments: Floats, cable: CableState, enough: float) -> tuple[Floats, Floats]:
-        """Return margins (k, KINDS) from below, and less exactly; only those below ``enough``."""
-        found = np.empty((2, len(moments), KINDS))
+        """Return margins (k, PLACES) from below, and less exactly; only those below ``enough``."""
+        found = np.empty((2, len(moments), PLACES))
         aloft = cable == "aloft"
         _write_margins(contiguous(moments), aloft, enough, self._required, self._memory, found)
         return found[0], found[1]
@@ -129,7 +132,7 @@ def _write_margins(
     moments: Floats3, aloft: bool, enough: float, required: Required,
     memory: tuple[Team, Strands], found: Floats3,
 ) -> None:  # fmt: skip
-    """Write margins (2, k, KINDS) at the moments (k, n, 3): lower bounds, and about."""
+    """Write margins (2, k, PLACES) at the moments (k, n, 3): lower bounds, and about."""
     team, strands = memory
     asked = Query(-1, (0.0, 0.0, 0.0), -np.inf, enough)
     for k in range(len(moments)):
@@ -143,7 +146,7 @@ def _write_margins(
 def _write_strand_margins(
     moments: Floats3, required: Required, memory: tuple[Team, Strands], found: Floats3
 ) -> None:
-    """Lower margins (2, k, KINDS) to those of strands that share no vehicle."""
+    """Lower margins (2, k, PLACES) to those of strands that share no vehicle."""
     team, strands = memory
     for k in range(len(moments)):
         _place(moments[k], team)

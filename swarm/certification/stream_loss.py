@@ -31,7 +31,7 @@ from swarm.certification.branch_and_bound import Boxes, Enclosure, search
 from swarm.certification.findings import Finding
 from swarm.certification.motion_bounds import BoundedMotion, largest_between, pieces_between
 from swarm.certification.team_margins import (
-    KINDS,
+    PLACES,
     Query,
     Required,
     Strands,
@@ -337,7 +337,7 @@ class StreamLossBound:
             plan.mission.vehicles.tracking, end,
         )  # fmt: skip
         self._required = required_of(plan)
-        self._workspace = _Workspace(allocate_team(n), allocate_strands(n), np.empty((2, KINDS)))
+        self._workspace = _Workspace(allocate_team(n), allocate_strands(n), np.empty((2, PLACES)))
 
     def holds(self, start: Floats, end: Floats, rate: Floats) -> Flags:
         """Return whether margins hold after losses within intervals (k,), at up to ``rate`` (k,).
@@ -468,7 +468,7 @@ class Losses(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """Working memory for one moment of n vehicles; ``margins`` (2, KINDS)."""
+    """Working memory for one moment of n vehicles; ``margins`` (2, PLACES)."""
 
     team: Team
     strands: Strands
@@ -477,7 +477,7 @@ class Memory(NamedTuple):
 
 def allocate_memory(n: int) -> Memory:
     """Return memory for a team."""
-    return Memory(allocate_team(n), allocate_strands(n), np.empty((2, KINDS)))
+    return Memory(allocate_team(n), allocate_strands(n), np.empty((2, PLACES)))
 
 
 @compiled

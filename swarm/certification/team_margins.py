@@ -98,13 +98,9 @@ def body_box_distance(
 
 
 VEHICLES, CEILING, FENCE, CHORDS, STRANDS, NEIGHBOURS, BODIES, DISCS, FLOOR = range(9)
-"""Kinds of clearances: places in arrays of margins."""
-KIND_NAMES = (
-    "vehicle clearance", "ceiling", "fence", "taut", "cable clearance", "neighbouring segments",
-    "vehicle-cable clearance", "rotor disc", "floor",
-)  # fmt: skip
-"""Kinds of clearances, by the names of the certificate's checks."""
-KINDS = len(KIND_NAMES)
+"""Kinds of clearances: places in arrays of margins, which the rows of the table name."""
+PLACES = FLOOR + 1
+"""Number of places."""
 
 _PIECES, _BLOCK = 16, 4
 """Pieces of a sampled strand, a power of two (20 cm of a strand of 3 m), and how many are left out
@@ -233,11 +229,11 @@ class Query(NamedTuple):
 def vehicle_margins(
     asked: Query, team: Team, required: Required, low: Floats, here: Floats
 ) -> None:
-    """Write lower bounds of the smallest margins of vehicles (KINDS,), and margins ``here``.
+    """Write lower bounds of the smallest margins of vehicles (PLACES,), and margins ``here``.
 
     Of vehicles with each other, below the ceiling, and within the fence.
     """
-    for kind in range(KINDS):
+    for kind in range(PLACES):
         low[kind] = here[kind] = asked.enough
     position = team.position
     for i in range(len(position)):
@@ -260,7 +256,7 @@ def vehicle_margins(
 def cable_margins(
     asked: Query, team: Team, required: Required, strands: Strands, low: Floats, here: Floats
 ) -> None:
-    """Lower the margins (KINDS,) to those of cable aloft; only of chords where one is too long."""
+    """Lower the margins (PLACES,) to those of cable aloft; only of chords where one is too long."""
     position, count, half = team.position, len(required.lengths), asked.half
     for i in range(count):
         if asked.who in (-1, i, i + 1):
@@ -296,9 +292,9 @@ def cable_margins(
 
 @inner
 def smallest(margins: Floats) -> float:
-    """Return the smallest of the margins (KINDS,)."""
+    """Return the smallest of the margins (PLACES,)."""
     least = np.inf
-    for kind in range(KINDS):
+    for kind in range(PLACES):
         least = min(least, margins[kind])
     return least
 
@@ -307,7 +303,7 @@ def smallest(margins: Floats) -> float:
 def strand_margins(
     asked: Query, team: Team, required: Required, strands: Strands, low: Floats, here: Floats
 ) -> None:
-    """Lower the margins (KINDS,) to those between strands that share no vehicle."""
+    """Lower the margins (PLACES,) to those between strands that share no vehicle."""
     count = len(required.lengths)
     _write_boxes(asked.half, team, required, strands)
     for i in range(count):

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.clearances import segment_name
+from swarm.certification.distances import segment_name
 from swarm.certification.findings import Finding, Severity
 from swarm.errors import SwarmError
 from swarm.geometry.chain import crossing_gaps, plan_crossings, polyline

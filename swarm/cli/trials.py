@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from swarm import planner
+from swarm.certification.kinds import MEASURED
 from swarm.cli.inputs import (
     FILE,
     JOBS,
@@ -175,7 +176,7 @@ def _write_figures(
     options: TrialOptions,
 ) -> None:
     from swarm.reports.plots import save  # noqa: PLC0415 - slow to import
-    from swarm.reports.trial_plots import KINDS, trial_distances, trials_figure  # noqa: PLC0415
+    from swarm.reports.trial_plots import trial_distances, trials_figure  # noqa: PLC0415
     from swarm.reports.trials_report import trials_report  # noqa: PLC0415
 
     distances = [trial_distances(run.plan, run.trials, run.certified) for run in runs]
@@ -184,6 +185,6 @@ def _write_figures(
         save(trials_figure(distances, required), options.plot)
     if options.report:
         # one figure per distance, so that a phone shows them one below the other
-        figures = [trials_figure(distances, required, [kind]) for kind in KINDS]
+        figures = [trials_figure(distances, required, [kind]) for kind in MEASURED]
         page = trials_report(planned.plan, planned.assessment, summaries, figures)
         write_text(options.report, page)

@@ -8,16 +8,16 @@ from dataclasses import asdict, fields
 from math import inf
 from typing import Any, get_args
 
-from swarm.certification.assessment import Assessment, Tightest
+from swarm.certification.assessment import Assessment
 from swarm.certification.clearances import MOST_TRACKING, MOST_WIND, Robustness
+from swarm.certification.distances import Tightest
 from swarm.certification.findings import Finding, Severity
+from swarm.certification.kinds import FIGURES
 from swarm.errors import InputError, Problem, shown
-from swarm.exports import finding_object, tightest_object
+from swarm.exports import clearance_object, finding_object
 from swarm.flight.flight_plan import Basis, Kind
 from swarm.mission.sections import LARGEST_TRACKING
 from swarm.planning.archive import READ_ERRORS
-
-_CLEARANCES = ("cable", "vehicle", "vehicle_cable")
 
 
 def certificate_document(basis: Basis, found: Assessment) -> dict[str, Any]:
@@ -27,7 +27,7 @@ def certificate_document(basis: Basis, found: Assessment) -> dict[str, Any]:
         **asdict(basis),
         "cleared": found.cleared,
         "knot": {"type": found.knot, "chirality": found.chirality, "gauss": found.gauss},
-        "clearance": {name: tightest_object(getattr(found, name)) for name in _CLEARANCES},
+        "clearance": clearance_object(found),
         "robustness": asdict(found.robustness),
         "findings": [finding_object(finding) for finding in found.findings],
     }
@@ -51,9 +51,7 @@ def read_certificate(
             _require_range(source, f"robustness.{name}", recorded, most)
         return basis, Assessment(
             findings=tuple(_read_finding(finding) for finding in document["findings"]),
-            cable=_read_tightest(document["clearance"]["cable"]),
-            vehicle=_read_tightest(document["clearance"]["vehicle"]),
-            vehicle_cable=_read_tightest(document["clearance"]["vehicle_cable"]),
+            distances={figure: _read_tightest(document["clearance"][figure]) for figure in FIGURES},
             knot=str(document["knot"]["type"]),
             chirality=document["knot"]["chirality"],
             gauss=str(document["knot"]["gauss"]),

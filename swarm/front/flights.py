@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarm import planning
-from swarm.certification.assessment import Tightest
 from swarm.certification.certificate import Certificate, CertifiedPlan
+from swarm.certification.distances import Tightest
 from swarm.errors import Refused
 from swarm.flight.result import FlightResult, Word
 from swarm.flight.trace import Trace
@@ -24,20 +24,6 @@ from swarm.verification import Verification, verify_trace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-@dataclass(frozen=True)
-class FlownClearances:
-    """The smallest distances at reported positions in fold and hold, in the cable model.
-
-    ``cable`` between strands, surface to surface; ``vehicle`` between vehicles; ``vehicle_cable``
-    between a vehicle and segments that it does not hold: metres, with mission time and the names of
-    the two bodies. None without two such bodies.
-    """
-
-    cable: Tightest | None
-    vehicle: Tightest | None
-    vehicle_cable: Tightest | None
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -76,11 +62,14 @@ class Flight:
         return self.verification.as_planned
 
     @property
-    def clearance(self) -> FlownClearances:
-        """The smallest distances of the flight, metres."""
-        return FlownClearances(
-            self.verification.cable, self.verification.vehicle, self.verification.vehicle_cable
-        )
+    def clearance(self) -> Mapping[str, Tightest | None]:
+        """The smallest distances at reported positions in fold and hold, in the cable model.
+
+        "cable" between strands, surface to surface; "vehicle" between vehicles; "vehicle_cable"
+        between a vehicle and segments that it does not hold: metres, with mission time and the
+        names of the two bodies. None without two such bodies.
+        """
+        return self.verification.distances
 
     @property
     def tracking_error(self) -> float | None:

@@ -16,6 +16,7 @@ from swarm import jit
 from swarm.certification.assessment import Assessment
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding
+from swarm.certification.kinds import FIGURES
 from swarm.certification.minima import TOLERANCE
 from swarm.errors import InputError, Problem
 from swarm.files import read_bytes
@@ -145,12 +146,12 @@ def _differences(
         expected, got = getattr(computed, key), getattr(recorded, key)
         if expected != got:
             yield _Difference(f"knot.{'type' if key == 'knot' else key}", expected, got)
-    for key in ("cable", "vehicle", "vehicle_cable"):
-        expected, got = (getattr(each, key).distance for each in (computed, recorded))
+    for key in FIGURES:
+        expected, got = (each.distances[key].distance for each in (computed, recorded))
         # The resolution of the search; another processor may round differently.
         if expected != got and not abs(expected - got) <= TOLERANCE:
             yield _Difference(f"clearance.{key}.distance", f"{expected:.4f}", f"{got:.4f}")
-        expected, got = (getattr(each, key).required for each in (computed, recorded))
+        expected, got = (each.distances[key].required for each in (computed, recorded))
         if expected != got:
             yield _Difference(f"clearance.{key}.required", expected, got)
     for key in ("tracking", "wind"):

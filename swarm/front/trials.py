@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 from swarm import planning
 from swarm.certification.certificate import Certificate
+from swarm.certification.kinds import required_distances
 from swarm.errors import InputError, Interrupted, Problem, SwarmError
 from swarm.files import read_text
 from swarm.flight.flight_plan import FlightPlan
@@ -17,7 +18,6 @@ from swarm.mission.validation import LARGEST_FILE
 from swarm.notebook import table
 from swarm.simulation.loop import Fault
 from swarm.simulation.monte_carlo import (
-    CLEARANCES,
     CertifiedClearances,
     Spread,
     Trial,
@@ -104,7 +104,7 @@ class Trials(Sequence[Trial]):
     @property
     def required(self) -> Mapping[str, float]:
         """The clearances of the mission in metres, by name."""
-        return {name: getattr(self.plan.mission.clearance, name) for name in CLEARANCES}
+        return required_distances(self.plan.mission)
 
     def summary(self) -> Mapping[str, Any]:
         """Return shares and distributions with 95 % intervals, and the worst trials.

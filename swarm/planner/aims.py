@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from swarm.certification.air import sinkings
 from swarm.certification.budget import ShortBudget
+from swarm.certification.kinds import kind_of
 from swarm.planner.short_budgets import ShortBudgets
 from swarm.planning import Plan
 from swarm.planning.repair import Shortfall
@@ -31,7 +32,7 @@ def aims(plan: Plan, budget: ShortBudgets | None, share: float = 1.0) -> list[Sh
 
 def as_shortfalls(moments: Sequence[ShortBudget]) -> list[Shortfall]:
     """Return moments at which budgets are short as shortfalls of their checks."""
-    return [Shortfall(one.check, one.time, one.metres) for one in moments]
+    return [Shortfall(kind_of(one.check).margin, one.time, one.metres) for one in moments]
 
 
 def sinking(plan: Plan, share: float = 1.0) -> list[Shortfall]:
@@ -39,7 +40,7 @@ def sinking(plan: Plan, share: float = 1.0) -> list[Shortfall]:
     radius."""
     allowed = share * plan.mission.vehicles.tracking
     found = sinkings(plan, allowed) if allowed else []
-    return [Shortfall("downwash", one.time, one.depth - allowed) for one in found]
+    return [Shortfall("jet", one.time, one.depth - allowed) for one in found]
 
 
 def total(shortfalls: Sequence[Shortfall]) -> float:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from swarm.certification.clearances import Moment, violations
+from swarm.certification.kinds import kind_of
 from swarm.folding.schedule import Flown
 from swarm.planner.aims import RESERVE, aims, as_shortfalls, sinking, total
 from swarm.planner.pacing import (
@@ -290,7 +291,7 @@ def _why_not(failures: Sequence[Moment]) -> tuple[str, ...]:
 
 
 def _shortfall(moment: Moment) -> Shortfall:
-    return Shortfall(moment.check, moment.time, -moment.margin)
+    return Shortfall(kind_of(moment.check).margin, moment.time, -moment.margin)
 
 
 def least_short(kept: Sequence[Kept]) -> Kept:

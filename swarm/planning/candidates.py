@@ -36,7 +36,7 @@ from swarm.planning.foldings import (
 from swarm.planning.formation import formation_plan
 from swarm.planning.given_layout import foldings_of_given_layout
 from swarm.planning.plan import KnotSummary, Plan
-from swarm.planning.repair import REPAIRABLE, Shortfall, with_larger_margins
+from swarm.planning.repair import Shortfall, with_larger_margins
 
 Progress = Callable[[str, float], None]
 
@@ -137,7 +137,7 @@ def repairable(candidate: Candidate, shortfalls: Sequence[Shortfall]) -> bool:
     return (
         candidate.folding is not None
         and bool(shortfalls)
-        and all(shortfall.check in REPAIRABLE for shortfall in shortfalls)
+        and all(shortfall.margin is not None for shortfall in shortfalls)
         and not candidate.last_attempt
     )
 

@@ -42,11 +42,6 @@ def outcome_object(
 
 def verification_object(verification: Verification, assessment: Assessment) -> dict[str, Any]:
     """Return the implied knot, flown beside certified distances, and the tracking errors."""
-    pairs = (
-        ("cable", verification.cable, assessment.cable),
-        ("vehicle", verification.vehicle, assessment.vehicle),
-        ("vehicle_cable", verification.vehicle_cable, assessment.vehicle_cable),
-    )
     return {
         "knot": {
             "type": verification.knot,
@@ -57,9 +52,9 @@ def verification_object(verification: Verification, assessment: Assessment) -> d
         "clearance": {
             name: {
                 "flown": tightest_object(flown) if flown else None,
-                "certified": tightest_object(certified),
+                "certified": tightest_object(assessment.distances[name]),
             }
-            for name, flown, certified in pairs
+            for name, flown in verification.distances.items()
         },
         "max_chord_ratio": verification.max_chord_ratio,
         "tracking_error": [

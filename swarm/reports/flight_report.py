@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from swarm.certification.assessment import Assessment
+from swarm.certification.kinds import FIGURES
 from swarm.certification.swing_runs import aloft, swings
 from swarm.errors import Refused
 from swarm.flight.flown_swing import SwingCurves, swing_curves
@@ -34,7 +35,7 @@ from swarm.reports.plots import ALARM, END, INK, START, STYLE, save
 from swarm.reports.rendering import Picture, picture, render
 from swarm.reports.strand_distances import sampling_step, smallest_strand_distances
 from swarm.reports.verdicts import flight_verdict, largest_fold_error
-from swarm.reports.wording import CLEARANCES, knot_in_words, plan_figures, sorted_findings
+from swarm.reports.wording import knot_in_words, plan_figures, sorted_findings
 
 
 def plot_shaping(shaped: Plan, time_optimal: Plan, path: Path) -> None:
@@ -166,7 +167,7 @@ def _clearances(clearance: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
     if all(both["flown"] is None for both in clearance.values()):
         return []
     return [
-        (CLEARANCES[name], both["flown"], both["certified"])
+        (FIGURES[name], both["flown"], both["certified"])
         for name, both in clearance.items()
         if both["certified"]["distance"] is not None
     ]

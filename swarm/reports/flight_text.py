@@ -3,7 +3,8 @@
 from rich.console import Console
 from rich.table import Table
 
-from swarm.certification.assessment import Assessment, Tightest
+from swarm.certification.assessment import Assessment
+from swarm.certification.kinds import FIGURES
 from swarm.flight.adherence import Adherence
 from swarm.flight.flown_swing import flown_swing
 from swarm.flight.result import FlightResult
@@ -12,7 +13,6 @@ from swarm.reports.findings_text import print_verdict
 from swarm.reports.flight_json import outcome_object
 from swarm.reports.formatting import certified_metres, together
 from swarm.reports.verdicts import flight_verdict
-from swarm.reports.wording import CLEARANCES
 from swarm.verification import TrackingStatistics, Verification
 
 
@@ -100,14 +100,13 @@ def _clearance_table(verification: Verification, assessment: Assessment) -> Tabl
     table.add_column("smallest distance")
     for heading in ("flown", "certified", "required", "between"):
         table.add_column(heading, justify="right")
-    for kind, name in CLEARANCES.items():
-        flown: Tightest | None = getattr(verification, kind)
-        certified: Tightest = getattr(assessment, kind)
+    for figure, flown in verification.distances.items():
+        certified = assessment.distances[figure]
         if flown is None:
             continue  # not measured, or the plan has no two such bodies
         enough = flown.distance >= certified.required
         table.add_row(
-            name,
+            FIGURES[figure],
             f"[{'green' if enough else 'red'}]{flown.distance:.2f} m[/]",
             certified_metres(certified.distance),
             f"{certified.required:.2f} m",

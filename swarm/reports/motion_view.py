@@ -15,8 +15,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.assessment import Assessment, Tightest
+from swarm.certification.assessment import Assessment
 from swarm.certification.clearances import Moment
+from swarm.certification.distances import Tightest
 from swarm.flight.trace import Trace
 from swarm.planning import Plan
 from swarm.planning.cable_shape import cable_shape, grip_interval, laid_grip_points
@@ -139,7 +140,7 @@ def _implied_cable(
 
 def _planned_moments(assessment: Assessment) -> tuple[MarkedMoment, ...]:
     """Return the tightest moment of each kind of clearance, then the other tightest moments."""
-    kinds = (assessment.cable, assessment.vehicle, assessment.vehicle_cable)
+    kinds = assessment.distances.values()
     known = {(one.between, round(one.time, 1)) for one in kinds}
     others = [one for one in assessment.tightest if (one.between, round(one.time, 1)) not in known]
     moments: list[Tightest | Moment] = [*kinds, *others]

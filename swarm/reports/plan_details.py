@@ -10,6 +10,7 @@ from rich.text import Text
 from swarm.certification.assessment import Assessment
 from swarm.certification.budget import Budget
 from swarm.certification.clearances import Moment
+from swarm.certification.kinds import KINDS, MATRIX, coverage
 from swarm.planning import Plan
 from swarm.reports.findings_text import findings_table
 from swarm.reports.formatting import certified_metres, metres, seconds, together
@@ -19,7 +20,7 @@ IN_TABLES: Final = frozenset({"tightest", "budget"})
 
 
 def print_details(plan: Plan, assessment: Assessment, console: Console) -> None:
-    """Print tightest moments, clearance budget and remarks: what the summary leaves out."""
+    """Print tightest moments, clearance budget, remarks, and which checks compare what."""
     tables = [_more_figures(plan, assessment)]
     if assessment.tightest:
         tables.append(_tightest_moments(assessment.tightest))
@@ -32,6 +33,7 @@ def print_details(plan: Plan, assessment: Assessment, console: Console) -> None:
     ]
     if remarks:
         tables.append(findings_table(remarks))
+    tables.append(_who_compares_what())
     for number, table in enumerate(tables):
         console.print(Padding(table, (min(number, 1), 0, 0, 2), expand=False))
 
@@ -67,6 +69,17 @@ def _tightest_moments(moments: tuple[Moment, ...]) -> Table:
             seconds(moment.time),
             " and ".join(moment.between),
         )
+    return table
+
+
+def _who_compares_what() -> Table:
+    """Return the matrix of the kinds of clearances, and what counts in them."""
+    table = Table(box=None, padding=(0, 1, 0, 0), header_style="dim")
+    table.add_column("Checks")
+    for name in MATRIX:
+        table.add_column(name)
+    for kind in KINDS:
+        table.add_row(kind.check, *(cell.replace("no", "–") for cell in coverage(kind)))
     return table
 
 

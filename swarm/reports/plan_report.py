@@ -5,6 +5,7 @@ import numpy as np
 
 from swarm.certification.assessment import Assessment
 from swarm.certification.clearances import Moment
+from swarm.certification.kinds import FIGURES
 from swarm.planning import Plan
 from swarm.reports import plots, scene
 from swarm.reports.fold_labels import label_fold
@@ -15,7 +16,6 @@ from swarm.reports.schedule_plots import schedule_figure
 from swarm.reports.strand_distances import planned_strand_distances
 from swarm.reports.verdicts import plan_verdict
 from swarm.reports.wording import (
-    CLEARANCES,
     knot_in_words,
     plan_figures,
     sorted_findings,
@@ -24,7 +24,6 @@ from swarm.reports.wording import (
 
 def plan_report(plan: Plan, assessment: Assessment) -> str:
     """Return the page of a plan: verdict, figures, pictures, distances, findings, tables."""
-    tightest = (assessment.cable, assessment.vehicle, assessment.vehicle_cable)
     return render(
         "plan.html.j2",
         mission=plan.mission,
@@ -42,7 +41,7 @@ def plan_report(plan: Plan, assessment: Assessment) -> str:
         budget_head=["", *(name for name, _ in BUDGET)],
         budget=[budget_cells(row) for row in assessment.budget],
         neighbours=_tightest(assessment, "neighbouring segments"),
-        clearances=list(zip(CLEARANCES.values(), tightest, strict=True)),
+        clearances=[(FIGURES[name], one) for name, one in assessment.distances.items()],
         pictures=_pictures(plan, assessment),
         segments=_segments(plan),
         crossings=scene.crossings(plan.layout),

@@ -6,7 +6,9 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from swarm.certification.assessment import Assessment, Contingencies, Tightest, rounded_down
+from swarm.certification.assessment import Assessment, Contingencies, rounded_down
+from swarm.certification.distances import Tightest
+from swarm.certification.kinds import FIGURES
 from swarm.knots.catalog import lookup_knot
 from swarm.planning import Plan
 from swarm.planning.few_vehicles import least_vehicles
@@ -14,7 +16,7 @@ from swarm.reports.findings_text import findings_table, print_verdict, shortened
 from swarm.reports.formatting import certified_metres, metres, seconds, together
 from swarm.reports.plan_details import print_details
 from swarm.reports.verdicts import plan_verdict
-from swarm.reports.wording import CLEARANCES, knot_in_words
+from swarm.reports.wording import knot_in_words
 
 
 def print_plan_summary(
@@ -104,10 +106,9 @@ def _check_rows(plan: Plan, assessment: Assessment) -> list[tuple[str, Text | st
         wind = rounded_down(robustness.wind, 1)
         rows.append(("steady wind", f"holds up to {wind:.1f} m/s (w*)"))
     if plan.vehicles > 1:
-        tightest = (assessment.cable, assessment.vehicle, assessment.vehicle_cable)
         rows += [
-            (name, _distance(one))
-            for name, one in zip(CLEARANCES.values(), tightest, strict=True)
+            (FIGURES[name], _distance(one))
+            for name, one in assessment.distances.items()
             if np.isfinite(one.distance)
         ]
     if assessment.budget:

@@ -1,6 +1,6 @@
 """Figures of many trials: distributions of distances, and distances against certified bounds."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,18 +10,14 @@ import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from swarm.certification.kinds import MEASURED
 from swarm.planning import Plan
 from swarm.reports.plots import ALARM, END, FAINT, INK, START, STYLE, Axes
-from swarm.simulation.monte_carlo import CLEARANCES, CertifiedClearances, Trial
+from swarm.reports.wording import TRIAL_DISTANCES
+from swarm.simulation.monte_carlo import CertifiedClearances, Trial
 
 Floats = npt.NDArray[np.float64]
 
-NAMES: Final = {
-    "cable": "cable to cable",
-    "emulated_cable": "cable to cable, emulated",
-    "vehicle": "vehicle to vehicle",
-    "vehicle_cable": "vehicle to cable",
-}
 _COLOURS: Final = (START, END)
 
 
@@ -29,9 +25,9 @@ _COLOURS: Final = (START, END)
 class TrialDistances:
     """Smallest distances of the k trials of a trajectory, metres, NaN where unknown.
 
-    ``by_kind`` maps each key of :data:`NAMES` to distances (k,); ``tracking_error`` (k,) is the
-    largest in the trial; ``with_failure`` (k,) is true where a vehicle failed. ``certified`` maps
-    each clearance to its bounds (m,) for tracking radii ``tracking_radius`` (m,).
+    ``by_kind`` maps each key of :data:`.TRIAL_DISTANCES` to distances (k,); ``tracking_error`` (k,)
+    is the largest in the trial; ``with_failure`` (k,) is true where a vehicle failed. ``certified``
+    maps each clearance to its bounds (m,) for tracking radii ``tracking_radius`` (m,).
     """
 
     label: str
@@ -47,24 +43,25 @@ def trial_distances(
 ) -> TrialDistances:
     """Return the distances of a plan's trials with their certified bounds."""
 
-    def column(name: str) -> Floats:
-        return np.array([np.nan if (v := getattr(t, name)) is None else v for t in trials])
+    def column(found: Iterable[float | None]) -> Floats:
+        return np.array([np.nan if value is None else value for value in found])
 
     return TrialDistances(
         label="the paper's trajectory" if plan.mission.fold.method == "paper" else "this plan",
-        by_kind={name: column(name) for name in NAMES},
-        tracking_error=column("tracking_error"),
+        by_kind={
+            name: column(trial.distances[name] for trial in trials) for name in TRIAL_DISTANCES
+        },
+        tracking_error=column(trial.tracking_error for trial in trials),
         with_failure=np.array([bool(trial.failure) for trial in trials]),
         tracking_radius=certified.tracking_radius,
-        certified={name: getattr(certified, name) for name in CLEARANCES},
+        certified=certified.distances,
     )
 
 
-KINDS: Final = ("cable", "vehicle", "vehicle_cable")
-
-
 def trials_figure(
-    runs: Sequence[TrialDistances], required: Mapping[str, float], kinds: Sequence[str] = KINDS
+    runs: Sequence[TrialDistances],
+    required: Mapping[str, float],
+    kinds: Sequence[str] = tuple(MEASURED),
 ) -> Figure:
     """Return a figure with a column per kind of distance.
 
@@ -108,7 +105,7 @@ def draw_distribution(
     axes.set(xlabel="smallest distance, m", ylabel="share of trials that came closer", ylim=(0, 1))
     right = axes.get_xlim()[1]
     axes.set_xlim(-0.02 * right, right)
-    axes.set_title(NAMES[kind].capitalize(), pad=16)
+    axes.set_title(TRIAL_DISTANCES[kind].capitalize(), pad=16)
 
 
 def draw_certified(axes: Axes, run: TrialDistances, kind: str, required: float) -> None:

@@ -1,7 +1,7 @@
 """The page of many simulated flights of a plan."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -9,9 +9,7 @@ from swarm.certification.assessment import Assessment
 from swarm.planning import Plan
 from swarm.reports.rendering import picture, render
 from swarm.reports.verdicts import trials_verdict
-from swarm.reports.wording import CLEARANCES, plan_figures, sorted_findings
-
-TRIAL_DISTANCES: Final = {**CLEARANCES, "emulated_cable": "cable to cable, emulated"}
+from swarm.reports.wording import TRIAL_DISTANCES, plan_figures, sorted_findings
 
 
 def trials_report(

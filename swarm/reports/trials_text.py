@@ -7,8 +7,8 @@ from rich.console import Console
 from rich.table import Table
 
 from swarm.reports.findings_text import print_verdict
-from swarm.reports.trial_plots import NAMES
 from swarm.reports.verdicts import trials_verdict
+from swarm.reports.wording import TRIAL_DISTANCES
 
 
 def print_trials(summary: Mapping[str, Any], console: Console) -> None:
@@ -43,7 +43,9 @@ def _distances(clearance: Mapping[str, Any]) -> Table:
         table.add_column(heading, justify="right", no_wrap=True)
     for kind, values in clearance.items():
         if values["count"]:
-            table.add_row(NAMES[kind], f"{values['required']:.2f} m", *_distribution(values))
+            table.add_row(
+                TRIAL_DISTANCES[kind], f"{values['required']:.2f} m", *_distribution(values)
+            )
     return table
 
 

@@ -13,7 +13,7 @@ from swarm.certification.budget import least_remaining
 from swarm.certification.findings import Finding
 from swarm.planning import Plan
 from swarm.reports.formatting import metres
-from swarm.reports.wording import CERTIFIED, CLEARANCES, implied_in_words, knot_in_words
+from swarm.reports.wording import CERTIFIED, TRIAL_DISTANCES, implied_in_words, knot_in_words
 
 Level = Literal["good", "warn", "bad"]
 FailureTestDocument = Mapping[str, Any]
@@ -148,7 +148,7 @@ def _too_close(clearance: Mapping[str, Any]) -> list[str]:
 
 
 def _came_to(name: str, distance: float, required: float) -> str:
-    kind = CLEARANCES.get(name, "cable to cable, emulated")
+    kind = TRIAL_DISTANCES[name]
     return f"{kind} came to {distance:.2f} m, {required:.2f} m are required"
 
 

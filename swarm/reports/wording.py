@@ -5,15 +5,12 @@ from typing import Any, Final
 
 from swarm.certification.assessment import Assessment, rounded_down
 from swarm.certification.findings import Finding
+from swarm.certification.kinds import FIGURES
 from swarm.planning import Plan
 from swarm.reports.formatting import metres, number_with_unit, seconds
 
 CERTIFIED: Final = "certified in the quasi-static cable model"
-CLEARANCES: Final = {
-    "cable": "cable to cable",
-    "vehicle": "vehicle to vehicle",
-    "vehicle_cable": "vehicle to cable",
-}
+TRIAL_DISTANCES: Final = {**FIGURES, "emulated_cable": "cable to cable, emulated"}
 SEVERITIES: Final = ("error", "warning", "info")
 """Severities of findings, the worst first."""
 

@@ -9,18 +9,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarm.certification.cable_spans import exempt_length
+from swarm.certification.cable_spans import cable_spans, exempt_length
 from swarm.certification.clearances import families, limits
-from swarm.certification.coverage import COVERAGE, coverage_table
+from swarm.certification.kinds import KINDS, Case, Kind, coverage_table, kind_of
 from swarm.certification.monitor import Monitor
+from swarm.certification.motion_bounds import BoundedMotion
+from swarm.certification.strand_pieces import LEAVES, HeldCable, TubeRadii
 from swarm.certification.stream_loss import certify_stream_loss
-from swarm.certification.team_margins import KIND_NAMES
+from swarm.certification.team_margins import PLACES
+from swarm.folding.penalty import no_extra_margins
 from swarm.geometry.chain import polyline
 from swarm.geometry.motion import Motion
 from swarm.planning import Plan
 from tests.certification.synthetic import moving, plan_of
 from tests.overhand import planned_overhand
 
+LIVE = {kind.place: kind.check for kind in KINDS if kind.place is not None}
+NAMES = [LIVE[place] for place in sorted(LIVE)]
 SAMPLES = 160
 FENCE = "workspace.fence=[[-4,-4],[8,-4],[8,8],[2,8],[2,5],[-4,5]]"
 
@@ -32,7 +37,7 @@ def brute(plan: Plan, grips: np.ndarray) -> dict[str, float]:
     lengths = plan.layout.lengths
     drawn = polyline(grips, lengths, SAMPLES)
     strands = [drawn[k * SAMPLES : (k + 1) * SAMPLES + 1] for k in range(n - 1)]
-    found = dict.fromkeys(KIND_NAMES, np.inf)
+    found = dict.fromkeys(NAMES, np.inf)
 
     def count(kind: str, margin: float) -> None:
         found[kind] = min(found[kind], float(margin))
@@ -149,7 +154,7 @@ def _plan(motion: Motion, lengths: list[float]) -> Plan:
     return plan_of(motion, lengths, FENCE, "workspace.ceiling=9", "vehicles.tracking=0.05")
 
 
-@pytest.mark.parametrize("kind", KIND_NAMES)
+@pytest.mark.parametrize("kind", NAMES)
 def test_the_monitor_sees_every_kind(kind: str) -> None:
     places = np.stack([place_with(kind, 0.03), place_with(kind, -0.002)])
     monitor = Monitor(plan_for(kind))
@@ -160,7 +165,7 @@ def test_the_monitor_sees_every_kind(kind: str) -> None:
     assert monitor.clock_rate(places, "aloft") == 0.0
 
 
-@pytest.mark.parametrize("kind", KIND_NAMES)
+@pytest.mark.parametrize("kind", NAMES)
 def test_a_loss_that_breaks_any_kind_limits_the_rate(kind: str) -> None:
     # the vehicle turns just before; without setpoints it would fly on
     plan, vehicle = plan_for(kind), MOVES[kind][2]
@@ -181,7 +186,7 @@ def test_a_loss_that_breaks_any_kind_limits_the_rate(kind: str) -> None:
 
 def test_margins_are_those_of_dense_samples() -> None:
     plan = plan_for("floor")
-    rng, seen = np.random.default_rng(4), dict.fromkeys(KIND_NAMES, 0)
+    rng, seen = np.random.default_rng(4), dict.fromkeys(NAMES, 0)
     for _ in range(60):
         grips = SQUARE - [0.0, 0.0, rng.uniform(0.0, 5.0)] + rng.normal(0.0, 0.4, (4, 3))
         chords = np.linalg.norm(np.diff(grips, axis=0), axis=1)
@@ -189,7 +194,7 @@ def test_margins_are_those_of_dense_samples() -> None:
             continue
         expected = brute(plan, grips)
         low, here = (each[0] for each in Monitor(plan)._margins(grips[None], "aloft", np.inf))
-        for number, kind in enumerate(KIND_NAMES):
+        for number, kind in enumerate(NAMES):
             tolerance = 1e-9 if kind in {"vehicle clearance", "ceiling", "taut"} else 0.03
             assert low[number] <= expected[kind] + 1e-9, kind
             assert low[number] == pytest.approx(expected[kind], abs=tolerance), kind
@@ -198,21 +203,50 @@ def test_margins_are_those_of_dense_samples() -> None:
     assert min(seen.values()) > 10
 
 
-def test_the_printed_table_says_who_compares_what() -> None:
-    # the certificate's checks by their families; those of losses and the monitor by the kernel
+def fenced(mission) -> Plan:
     plan = planned_overhand().plan
     fence = ((-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0))
     workspace = plan.mission.workspace.model_copy(update={"fence": fence})
-    mission = plan.mission.model_copy(update={"workspace": workspace})
-    plan = replace(plan, mission=mission)
-    checks = {family.check for family in (*families(plan, 0.1), *limits(plan))}
-    covered = {check for row in COVERAGE for check in row.checks}
-    assert checks <= covered
-    assert covered - checks <= {"straight down", "ground"}
-    for consumer in ("lost", "monitor"):
-        named = {
-            check for row in COVERAGE if getattr(row, consumer) != "no" for check in row.checks
-        }
-        assert named == set(KIND_NAMES)
+    return replace(
+        plan, mission=plan.mission.model_copy(update={"workspace": workspace, **mission})
+    )
+
+
+def test_the_table_says_who_compares_what() -> None:
+    """Each row against the families that it makes: times, tracking errors, wind and swing."""
+    plan = fenced({})
+    made = {family.kind for family in (*families(plan, 0.1), *limits(plan))}
+    assert {kind.check for kind in set(KINDS) - made} <= {"straight down"}
+    assert len(NAMES) == len(set(NAMES)) == PLACES
+    spans = cable_spans(plan)
+    motion = BoundedMotion(plan.motion)
+    tube = TubeRadii.of_leaves(0.0, np.full((1, plan.vehicles - 1, LEAVES), 0.2))
+
+    def margins(kind: Kind, tracking: float, tube: TubeRadii | None = None) -> np.ndarray:
+        cable = HeldCable(motion, plan.layout.lengths, tracking, 0.0, tube)
+        family = kind.family(Case(plan, spans, cable))
+        return family.evaluate(family.roots()).low
+
+    for kind in made:
+        still = margins(kind, 0.0)
+        assert (still > margins(kind, 0.05)).any() == kind.tracking, kind.check
+        assert (still > margins(kind, 0.0, tube)).any() == kind.swing, kind.check
+        leaning = HeldCable(motion, plan.layout.lengths, 0.0, 0.1, None)
+        family = kind.family(Case(plan, spans, leaning))
+        upright = kind.family(Case(plan, spans, HeldCable(motion, plan.layout.lengths, 0.0)))
+        changed = len(family.others) > len(upright.others)
+        assert changed == kind.wind or kind.objects == "a vehicle and the fence", kind.check
+
+
+def test_rows_of_one_check_agree_on_its_messages_and_repairs() -> None:
+    for kind in KINDS:
+        first = kind_of(kind.check)
+        for name in ("failure", "listed", "figure", "margin", "budget", "unit"):
+            assert getattr(kind, name) == getattr(first, name), kind.check
+        if kind.margin:
+            assert hasattr(no_extra_margins(2), kind.margin)
+
+
+def test_the_method_has_the_table() -> None:
     page = (Path(__file__).parents[2] / "docs" / "method.md").read_text(encoding="utf-8")
     assert coverage_table() in page

@@ -179,7 +179,8 @@ def test_vehicles_without_setpoints_coast_for_as_long_as_their_own_autopilot():
 def test_after_a_stream_loss_the_clearances_of_its_certificate_are_required():
     """These are the mission's clearance, here 1 m, and less than the plan's distance elsewhere."""
     assessment = PLAN.assessment
-    assessment = replace(assessment, vehicle=replace(assessment.vehicle, distance=1.2))
+    nearer = replace(assessment.distances["vehicle"], distance=1.2)
+    assessment = replace(assessment, distances={**assessment.distances, "vehicle": nearer})
     nothing = np.zeros(0)
     certificate = StreamLossCertificate(
         nothing,

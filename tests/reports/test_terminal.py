@@ -6,8 +6,9 @@ import pytest
 from rich.console import Console
 from rich.text import Text
 
-from swarm.certification.assessment import Assessment, Tightest, rounded_down
+from swarm.certification.assessment import Assessment, rounded_down
 from swarm.certification.clearances import Robustness
+from swarm.certification.distances import Tightest
 from swarm.certification.findings import Finding
 from swarm.flight.operator import REQUESTS
 from swarm.flight.snapshot import Event
@@ -29,9 +30,11 @@ PLAN = trefoil_plan()
 def assessment(*findings: Finding) -> Assessment:
     return Assessment(
         findings,
-        Tightest(0.21, 0.15, 51.3, ("segment 3", "segment 5")),
-        Tightest(1.2, 1.0, 44.0, ("vehicle 5", "vehicle 7")),
-        Tightest(np.inf, 0.3, 0.0, ("", "")),
+        {
+            "cable": Tightest(0.21, 0.15, 51.3, ("segment 3", "segment 5")),
+            "vehicle": Tightest(1.2, 1.0, 44.0, ("vehicle 5", "vehicle 7")),
+            "vehicle_cable": Tightest(np.inf, 0.3, 0.0, ("", "")),
+        },
         "3_1",
         "right",
         "1- 2+ 3- 1+ 2- 3+",
@@ -75,7 +78,8 @@ def test_summary_of_a_cleared_plan() -> None:
 def test_summary_never_states_more_than_the_plan_holds_for() -> None:
     console, held = plain(), Robustness(tracking=0.1099, wind=1.87)
     cable = Tightest(0.1595, 0.15, 51.3, ("segment 3", "segment 5"))
-    print_plan_summary(PLAN, replace(assessment(), robustness=held, cable=cable), console)
+    distances = {**assessment().distances, "cable": cable}
+    print_plan_summary(PLAN, replace(assessment(), robustness=held, distances=distances), console)
     assert "0.15 m, 0.15 m required: segments 3 and 5" in printed(console)
     assert "certified for 0.10 m, holds up to 0.10 m (e*)" in printed(console)
     assert "holds up to 1.8 m/s (w*)" in printed(console)

@@ -265,10 +265,7 @@ def _certified_distances(flight: SteppedSimulation, case: FailureCase) -> tuple[
     if case.stream_loss and stream_loss is not None and stream_loss.worst.margin >= 0.0:
         required = flight.flight_plan.plan.mission.clearance
         return required.cable, required.vehicle
-    return (
-        assessment.cable.distance if assessment.cable is not None else 0.0,
-        assessment.vehicle.distance if assessment.vehicle is not None else 0.0,
-    )
+    return assessment.distances["cable"].distance, assessment.distances["vehicle"].distance
 
 
 def _end(flight: SteppedSimulation, case: FailureCase) -> str:

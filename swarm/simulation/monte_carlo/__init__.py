@@ -23,8 +23,8 @@ from swarm.simulation.monte_carlo.summaries import (
     worst_trials,
 )
 from swarm.simulation.monte_carlo.trial import (
-    CLEARANCES,
     COLUMNS,
+    DISTANCES,
     SAMPLE_INTERVAL,
     Trial,
     fly_trial,
@@ -32,9 +32,9 @@ from swarm.simulation.monte_carlo.trial import (
 )
 
 __all__ = [
-    "CLEARANCES",
     "COLUMNS",
     "CONFIDENCE",
+    "DISTANCES",
     "FAILURES",
     "RADIUS_STEP",
     "SAMPLE_INTERVAL",

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -11,9 +11,10 @@ import numpy.typing as npt
 from joblib import Parallel, delayed
 
 from swarm.certification.clearances import tightest_moments
+from swarm.certification.kinds import MEASURED, required_distances
 from swarm.planning import Plan
 from swarm.simulation.monte_carlo.spread import Spread
-from swarm.simulation.monte_carlo.trial import CLEARANCES, Trial
+from swarm.simulation.monte_carlo.trial import Trial
 
 Floats = npt.NDArray[np.float64]
 
@@ -23,7 +24,6 @@ RADIUS_STEP: Final = 0.01
 CONFIDENCE: Final = 0.95
 """Level of every confidence interval."""
 
-_CHECKS: Final = ("cable clearance", "vehicle clearance", "vehicle-cable clearance")
 _MAX_RADIUS: Final = 1.0
 """Metres; larger tracking radii are not certified."""
 
@@ -36,15 +36,13 @@ _WORST: Final = 5
 
 @dataclass(frozen=True, eq=False)
 class CertifiedClearances:
-    """Certified bounds of distances (k,) for tracking radii (k,), metres.
+    """Certified bounds (k,) of ``distances`` for tracking radii (k,), metres, by their keys.
 
     A bound is −∞ where nothing is certified.
     """
 
     tracking_radius: Floats
-    cable: Floats
-    vehicle: Floats
-    vehicle_cable: Floats
+    distances: Mapping[str, Floats]
 
     def at(self, error: float, name: str) -> float:
         """Return the bound of a clearance for a tracking error: that of the next larger radius.
@@ -52,7 +50,7 @@ class CertifiedClearances:
         It is −∞ where the error is larger than every radius.
         """
         index = int(np.searchsorted(self.tracking_radius, error - 1e-12))
-        bounds = getattr(self, name)
+        bounds = self.distances[name]
         return float(bounds[index]) if index < len(bounds) else -math.inf
 
 
@@ -70,15 +68,17 @@ def certify_clearances(plan: Plan, trials: Sequence[Trial], jobs: int = 1) -> Ce
     bounds = Parallel(n_jobs=jobs)(
         delayed(_certified_clearances)(plan, float(radius)) for radius in radii
     )
-    return CertifiedClearances(radii, *np.array(bounds).reshape(-1, len(_CHECKS)).T)
+    columns = np.array(bounds).reshape(-1, len(MEASURED)).T
+    return CertifiedClearances(radii, dict(zip(MEASURED, columns, strict=True)))
 
 
 def _certified_clearances(plan: Plan, tracking: float) -> list[float]:
     """Return the certified bound of each clearance for a tracking radius, metres."""
-    moments = tightest_moments(plan, tracking=tracking, checks=_CHECKS)
+    checks = [kind.check for kind in MEASURED.values()]
+    moments = tightest_moments(plan, tracking=tracking, checks=checks)
     return [
         min((moment.distance for moment in moments if moment.check == check), default=math.inf)
-        for check in _CHECKS
+        for check in checks
     ]
 
 
@@ -94,10 +94,10 @@ def _is_below(trial: Trial, certified: CertifiedClearances) -> bool:
     error = trial.tracking_error
     if error is None:
         return False
-    distances = {name: getattr(trial, name) for name in CLEARANCES}
     return any(
-        distance is not None and distance < certified.at(error, name) - 1e-6
-        for name, distance in distances.items()
+        (distance := trial.distances[name]) is not None
+        and distance < certified.at(error, name) - 1e-6
+        for name in certified.distances
     )
 
 
@@ -116,7 +116,7 @@ def summary(
     """
     without = [trial for trial in trials if not trial.failure]
     with_failure = [trial for trial in trials if trial.failure]
-    required = {name: getattr(plan.mission.clearance, name) for name in CLEARANCES}
+    required = required_distances(plan.mission)
     required["emulated_cable"] = plan.mission.clearance.cable
     document: dict[str, Any] = {
         "mission": plan.mission.name,
@@ -130,10 +130,9 @@ def summary(
             "completed": _share([trial.completed for trial in without]),
             "knot_as_planned": _share([trial.as_planned for trial in without]),
             "clearance": {
-                name: {"required": required[name], **_distribution(without, name)}
-                for name in required
+                name: {"required": required[name], **_distances(without, name)} for name in required
             },
-            "tracking_error": _distribution(without, "tracking_error"),
+            "tracking_error": _distribution([trial.tracking_error for trial in without]),
             "outside_tracking_radius": sum(
                 trial.tracking_error is not None
                 and trial.tracking_error > plan.mission.vehicles.tracking
@@ -143,7 +142,7 @@ def summary(
         "with_failure": {
             "trials": len(with_failure),
             "completed": _share([trial.completed for trial in with_failure]),
-            "clearance": {name: _distribution(with_failure, name) for name in required},
+            "clearance": {name: _distances(with_failure, name) for name in required},
         },
         "trials_with_rotor_strikes": sum(trial.rotor_strikes > 0 for trial in trials),
         "trials_with_collisions": sum(trial.collisions > 0 for trial in trials),
@@ -152,7 +151,7 @@ def summary(
         "worst": [
             {
                 "trial": trial.number,
-                "cable": trial.cable,
+                "cable": trial.distances["cable"],
                 "outcome": trial.outcome,
                 "reason": trial.reason,
                 "failure": trial.failure,
@@ -164,8 +163,8 @@ def summary(
         document["certificate"] = {
             "tracking_radius": certified.tracking_radius.tolist(),
             **{
-                name: [_finite(value) for value in getattr(certified, name).tolist()]
-                for name in CLEARANCES
+                name: [_finite(value) for value in bounds.tolist()]
+                for name, bounds in certified.distances.items()
             },
             "compared": sum(trial.tracking_error is not None for trial in trials),
             "below": below_certificate(trials, certified),
@@ -178,9 +177,9 @@ def worst_trials(plan: Plan, trials: Sequence[Trial]) -> list[Trial]:
 
     def order(trial: Trial) -> tuple[float, ...]:
         margins = [
-            distance - getattr(plan.mission.clearance, name)
-            for name in CLEARANCES
-            if (distance := getattr(trial, name)) is not None
+            distance - required
+            for name, required in required_distances(plan.mission).items()
+            if (distance := trial.distances[name]) is not None
         ]
         damage = trial.rotor_strikes + trial.collisions + trial.crashes
         return (-damage, trial.completed, min(margins, default=math.inf), trial.number)
@@ -208,8 +207,12 @@ def _share(flags: Sequence[bool]) -> dict[str, Any]:
     }
 
 
-def _distribution(trials: Sequence[Trial], name: str) -> dict[str, Any]:
-    values = np.sort([one for trial in trials if (one := getattr(trial, name)) is not None])
+def _distances(trials: Sequence[Trial], name: str) -> dict[str, Any]:
+    return _distribution([trial.distances[name] for trial in trials])
+
+
+def _distribution(found: Iterable[float | None]) -> dict[str, Any]:
+    values = np.sort([value for value in found if value is not None])
     if not len(values):
         return {"count": 0}
     return {

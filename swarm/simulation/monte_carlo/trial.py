@@ -1,12 +1,14 @@
 """One trial: a simulated flight under drawn conditions, and its results."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.distances import closest_strands
+from swarm.certification.kinds import MEASURED
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.result import FlightResult
@@ -23,14 +25,15 @@ from swarm.simulation.loop import (
     simulate_flight,
 )
 from swarm.simulation.monte_carlo.spread import Conditions, Spread, draw
-from swarm.verification import closest_strands, verify_trace
+from swarm.verification import verify_trace
 
 Floats = npt.NDArray[np.float64]
 
 SAMPLE_INTERVAL: Final = 0.4
 """Seconds of flight between two samples of a trial's distances."""
 
-CLEARANCES: Final = ("cable", "vehicle", "vehicle_cable")
+DISTANCES: Final = (*MEASURED, "emulated_cable")
+"""Keys of the distances of a trial, as its files have them."""
 _SHARES: Final = np.linspace(0.0, 1.0, 25)
 _ROUNDING: Final = 1e-6
 
@@ -39,12 +42,12 @@ _ROUNDING: Final = 1e-6
 class Trial:
     """The results of one trial.
 
-    Distances are in metres, times in seconds, wind and gusts in m/s. ``cable``, ``vehicle`` and
-    ``vehicle_cable`` are the smallest distances in fold and hold, of the same things as in the
-    certificate: the cable model between the true positions of the vehicles. ``emulated_cable`` is
-    the smallest distance between strands of the emulator's cable, with its errors, wind and sway.
-    ``tracking_error`` is the largest distance of a vehicle from its setpoint in fold and hold.
-    These are None where the cable was never aloft.
+    Distances are in metres, times in seconds, wind and gusts in m/s. ``distances`` has
+    the smallest ones in fold and hold by their keys: "cable", "vehicle" and "vehicle_cable" of the
+    same things as in the certificate, in the cable model between the true positions of the
+    vehicles; "emulated_cable" between strands of the emulator's cable, with its errors, wind and
+    sway. ``tracking_error`` is the largest distance of a vehicle from its setpoint in fold and
+    hold. These are None where the cable was never aloft.
 
     ``reason`` is the first failure or the outcome, "" where the trial is completed. ``failure`` is
     the drawn failure with its vehicle, "" for none.
@@ -56,10 +59,7 @@ class Trial:
     explanation: str
     knot: str
     as_planned: bool
-    cable: float | None
-    vehicle: float | None
-    vehicle_cable: float | None
-    emulated_cable: float | None
+    distances: Mapping[str, float | None]
     tracking_error: float | None
     rotor_strikes: int
     collisions: int
@@ -78,10 +78,16 @@ class Trial:
 
 def table_rows(trials: Iterable[Trial]) -> list[dict[str, Any]]:
     """Return trials as rows of a table, sorted by number."""
-    return [asdict(trial) for trial in sorted(trials, key=lambda trial: trial.number)]
+    ordered = sorted(trials, key=lambda trial: trial.number)
+    rows = [{**vars(trial), **trial.distances} for trial in ordered]
+    return [{column: row[column] for column in COLUMNS} for row in rows]
 
 
-COLUMNS: Final = tuple(field.name for field in fields(Trial))
+COLUMNS: Final = tuple(
+    column
+    for field in fields(Trial)
+    for column in (DISTANCES if field.name == "distances" else (field.name,))
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +201,8 @@ def _trial_result(
     reason = failures[0].partition(":")[0] if failures else ""
     if not reason and result.outcome.word != "done":
         reason = result.outcome.word
-    measured: dict[str, Any] = dict.fromkeys((*CLEARANCES, "emulated_cable", "tracking_error"))
+    distances: dict[str, float | None] = dict.fromkeys(DISTANCES)
+    tracking_error = None
     knot, as_planned = "unknown", False
     samples = sampler.samples
     if samples:
@@ -206,12 +213,11 @@ def _trial_result(
         phases = tuple(sample.phase for sample in samples)
         flown = verify_trace(plan, Trace(times, mission_times, position, setpoint, phases))
         knot, as_planned = flown.knot, flown.as_planned
-        for name in CLEARANCES:
-            tightest = getattr(flown, name)
-            measured[name] = None if tightest is None else tightest.distance
-        measured["tracking_error"] = float(np.linalg.norm(position - setpoint, axis=-1).max())
+        for name, tightest in flown.distances.items():
+            distances[name] = None if tightest is None else tightest.distance
+        tracking_error = float(np.linalg.norm(position - setpoint, axis=-1).max())
         strands = [sample.strands for sample in samples if sample.strands is not None]
-        measured["emulated_cable"] = _smallest_distance(plan, strands)
+        distances["emulated_cable"] = _smallest_distance(plan, strands)
         if samples[-1].strands is None and len(plan.layout.lengths):
             knot, as_planned = "released", False
     if not reason and not as_planned:
@@ -223,6 +229,8 @@ def _trial_result(
         explanation=result.outcome.explanation,
         knot=knot,
         as_planned=as_planned,
+        distances=distances,
+        tracking_error=tracking_error,
         rotor_strikes=sampler.rotor_strikes,
         collisions=sampler.collisions,
         crashes=sampler.crashes,
@@ -231,7 +239,6 @@ def _trial_result(
         failure=conditions.failure,
         failure_time=conditions.failure_time,
         duration=result.statistics.duration,
-        **measured,
     )
 
 
