@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.distances import TAUT, Tightest, segment_name
-from swarm.certification.kinds import measured_distances
+from swarm.certification.kinds import MEASURED, measured_distances
 from swarm.certification.topology import cable_curve, layout_code, ties_planned_knot
 from swarm.errors import SwarmError
 from swarm.flight.trace import Trace
@@ -98,10 +98,12 @@ def closest_pairs(plan: Plan, position: Floats, *, cable: bool) -> tuple[Tightes
     if not np.isfinite(position).all():
         return ()
     place, time = position[None], np.zeros(1)
-    found = [_closest_vehicles(plan, place, time)]
-    if cable and len(plan.layout.lengths):
-        found += [_closest_strands(plan, place, time), _closest_vehicle_to_cable(plan, place, time)]
-    return tuple(one for one in found if one is not None)
+    found = [
+        kind.measured(plan, place, time)
+        for kind in sorted(MEASURED.values(), key=lambda kind: kind.when != "always")
+        if kind.measured and (cable or kind.when == "always")
+    ]
+    return tuple(tightest for tightest in found if tightest is not None)
 
 
 def _knot(plan: Plan, held: Floats) -> tuple[str, Chirality, str, bool, tuple[str, ...]]:

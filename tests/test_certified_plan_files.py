@@ -151,12 +151,13 @@ def test_a_file_of_another_version_is_certified_anew_and_never_believed(checks):
     assert planned.certificate.digest == digest(reviewed().plan)
     assert planned.assessment.robustness == shown.robustness
     assert planned.assessment.findings == shown.findings
-    assert planned.assessment.vehicle == shown.vehicle
+    assert planned.assessment.distances == shown.distances
+    vehicle = shown.distances["vehicle"].distance
     assert notice.splitlines() == [
         "a.plan: certified by another version of the program; all checks were computed again by "
         f"this one ({__version__}), and only their results count",
-        f"  clearance.vehicle.distance: {shown.vehicle.distance:.4f} as computed again, "
-        f"{shown.vehicle.distance + 0.1:.4f} in the file",
+        f"  clearance.vehicle.distance: {vehicle:.4f} as computed again, "
+        f"{vehicle + 0.1:.4f} in the file",
         f"  robustness.tracking: {shown.robustness.tracking:g} as computed again, 0.99 in the file",
         "  findings: info scope as computed again, none in the file",
     ]

@@ -10,11 +10,11 @@ import numpy.typing as npt
 
 from swarm.certification.air import deepest_sinking
 from swarm.certification.budget import Budget, budgets, smallest_budgets
-from swarm.certification.cable_spans import MOST_EXEMPT, cable_spans, exempt_length
+from swarm.certification.cable_spans import MOST_EXEMPT, exempt_length
 from swarm.certification.clearances import (
     Moment,
+    PlanChecks,
     Robustness,
-    certified_tube,
     failure_in_wind,
     limits,
     moments_of,
@@ -32,9 +32,8 @@ from swarm.certification.loads import (
     payload_limit,
     stuck_gripper_load,
 )
-from swarm.certification.motion_bounds import BoundedMotion
-from swarm.certification.stream_loss import StreamLossCertificate, certify_stream_loss
-from swarm.certification.swing_tube import SwingTube, beyond_ordinary, swing_tube
+from swarm.certification.stream_loss import StreamLossCertificate
+from swarm.certification.swing_tube import SwingTube, beyond_ordinary
 from swarm.certification.topology import tied_knot
 from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.planning import Plan
@@ -78,8 +77,8 @@ class Assessment:
     """Results of all checks of a plan.
 
     ``distances`` are the tightest by their keys in files (:data:`.kinds.FIGURES`), ``moments`` the
-    tightest of each kind of clearance. ``budget`` lists what reduces the
-    distances of the tightest strands. ``contingencies`` is None where the cable is never aloft.
+    tightest of each kind of clearance. ``budget`` lists what reduces the distances of the tightest
+    strands. ``contingencies`` is None where the cable is never aloft.
     ``stream_loss`` limits the clock's rate, so that clearances hold after a loss of setpoints.
     ``tube`` bounds the swing of the cable; None without a fold. ``swing_certified`` says whether
     clearances hold in it, for the planned motion and one ordinary stop with the resume that
@@ -170,7 +169,7 @@ def at_moment(severity: Severity, check: str, message: str, moment: Moment) -> F
 def smoothness_findings(plan: Plan) -> list[Finding]:
     """Return errors for jumps of position, velocity or acceleration."""
     found = []
-    jumps = BoundedMotion(plan.motion).jumps
+    jumps = PlanChecks.of(plan).motion.jumps
     for order, (quantity, unit, allowed) in enumerate(SMOOTH):
         if not jumps.size or jumps[:, order].max() <= allowed:
             continue
@@ -488,20 +487,19 @@ _MODEL_END = {
 def assess(
     plan: Plan,
     *,
-    moments: tuple[Moment, ...] | None = None,
     progress: Progress | None = None,
     robustness: bool = False,
 ) -> Assessment:
     """Return the results of all checks of a plan.
 
-    ``moments`` are its :func:`tightest_moments`, if already computed. ``progress`` is called with
-    the name of a stage and the share of it that is done. With ``robustness``, e* and w* are
-    computed too (:func:`with_robustness`).
+    ``progress`` is called with the name of a stage and the share of it that is done. With
+    ``robustness``, e* and w* are computed too (:func:`with_robustness`).
     """
-    moments = moments or tightest_moments(plan, progress=progress)
-    tube = swing_tube(plan)
+    checks = PlanChecks.of(plan)
+    moments = checks.moments(progress)
+    tube = checks.tube
     findings = [
-        *(Finding("error", "phases", *problem) for problem in cable_spans(plan).problems),
+        *(Finding("error", "phases", *problem) for problem in checks.spans.problems),
         *clearance_findings(plan, moments),
         *wind_findings(plan),
         *smoothness_findings(plan),
@@ -515,7 +513,7 @@ def assess(
     findings += [*knot.findings, *found]
     # A refused plan is not flown, so it needs no certificate of stream losses.
     refused = any(finding.severity == "error" for finding in (*findings, *endurance_findings(plan)))
-    stream_loss = None if refused else certify_stream_loss(plan)
+    stream_loss = None if refused else checks.stream_loss()
     findings += stream_loss.findings() if stream_loss else []
     findings += endurance_findings(plan, stream_loss.delay if stream_loss else 0.0)
     rows = smallest_budgets(plan, tube.pairs) if tube else budgets(plan, moments)
@@ -531,7 +529,7 @@ def assess(
         contingencies=contingencies,
         stream_loss=stream_loss,
         tube=tube,
-        swing_certified=certified_tube(plan) is not None,
+        swing_certified=checks.certified_tube is not None,
     )
     findings += tightest_findings(assessment.tightest)
     findings += budget_findings(budget, accepted=plan.mission.limits.accept_negative_budget)
@@ -569,7 +567,7 @@ def _scope(plan: Plan, *, swing_certified: bool) -> Finding:
         if tracking > 0
         else "for exact tracking only (vehicles.tracking is 0: geometry only)"
     )
-    spans = cable_spans(plan)
+    spans = PlanChecks.of(plan).spans
     if not spans.ever:
         message = f"distances of vehicles are certified {errors}; no cable is carried"
         return Finding("info", "scope", message)

@@ -6,7 +6,6 @@ own segments, which begin at the tip, keep out of the disc.
 """
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from swarm.certification.branch_and_bound import (
     Boxes,
     Enclosure,
     EnclosureArrays,
+    Evaluator,
     same_in,
 )
 from swarm.certification.motion_bounds import (
@@ -27,6 +27,7 @@ from swarm.certification.motion_bounds import (
     ends_at,
     grip_at,
     instant_at,
+    over_time,
 )
 from swarm.certification.strand_pieces import (
     CableTables,
@@ -64,58 +65,6 @@ _CLOSE, _MOST_PROJECTIONS = 1e-3, 50
 """Metres between both bounds of a single distance, and projections for it at most."""
 
 
-@dataclass(frozen=True, eq=False)
-class VehiclePairs:
-    """Distances of vehicles, less ``horizontal`` or less ``vertical``: the larger margin counts.
-
-    ``pairs`` (q, 2) of vehicles; ``tracking`` displaces both.
-    """
-
-    motion: BoundedMotion
-    pairs: Ints
-    tracking: float
-    horizontal: float
-    vertical: float
-
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box."""
-        time, half, instant = boxes.instants()
-        team = TeamStates.at(self.motion, time, half)
-        first, second = self.pairs[boxes.group].T
-        step = team.position[instant, second] - team.position[instant, first]
-        approach = team.drift(instant, first, team.velocity[instant, second])
-        approach += team.deviation[instant, second]
-        high = np.maximum(
-            np.hypot(step[:, 0], step[:, 1]) - self.horizontal,
-            np.abs(step[:, 2]) - self.vertical,
-        )
-        high -= 2.0 * self.tracking
-        middle = 0.5 * (team.position[instant, second] + team.position[instant, first])
-        return Enclosure.over_time(high, approach, middle)
-
-
-@dataclass(frozen=True, eq=False)
-class VehicleStrands:
-    """Distances of vehicles and strands: from the cone, or for own segments from the disc.
-
-    ``pairs`` (q, 2) of a vehicle and a segment; ``required`` (q,) is the required distance of the
-    strand's surface from the vehicle.
-    """
-
-    cable: HeldCable
-    pairs: Ints
-    body: "Body"
-    diameter: float
-    required: Floats
-
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box; coordinates are time, in wind tilt, and a fraction."""
-        found = Enclosure.not_found(boxes)
-        kept = _Kept(contiguous(self.pairs), contiguous(self.required), self.diameter)
-        _write_margins(self.cable.tables, kept, self.body, boxes.arrays(), found.arrays())
-        return found
-
-
 class Body(NamedTuple):
     """The cone below a rotor disc, its tip at the origin; metres."""
 
@@ -145,6 +94,46 @@ class _Kept(NamedTuple):
     pairs: Ints2
     required: Floats1
     diameter: float
+
+
+def vehicles_apart(
+    motion: BoundedMotion, pairs: Ints, tracking: float, horizontal: float, vertical: float
+) -> Evaluator:
+    """Bound the distances of vehicles, less ``horizontal`` or less ``vertical``: the larger counts.
+
+    ``pairs`` (q, 2) of vehicles; ``tracking`` displaces both.
+    """
+
+    def margin(team: TeamStates, instant: Ints, group: Ints) -> tuple[Floats, Floats, Floats]:
+        first, second = pairs[group].T
+        place, other = team.position[instant, first], team.position[instant, second]
+        step = other - place
+        approach = team.drift(instant, first, team.velocity[instant, second])
+        approach += team.deviation[instant, second]
+        high = np.maximum(
+            np.hypot(step[:, 0], step[:, 1]) - horizontal, np.abs(step[:, 2]) - vertical
+        )
+        return high - 2.0 * tracking, approach, 0.5 * (other + place)
+
+    return over_time(motion, margin)
+
+
+def vehicles_and_strands(
+    cable: HeldCable, pairs: Ints, body: Body, diameter: float, required: float
+) -> Evaluator:
+    """Bound the distances of vehicles and strands: from the cone, or for own segments the disc.
+
+    ``pairs`` (q, 2) of a vehicle and a segment; ``required`` is the required distance of the
+    strand's surface from the vehicle. Coordinates are time, in wind tilt, and a fraction.
+    """
+    kept = _Kept(contiguous(pairs), np.full(len(pairs), required), diameter)
+
+    def evaluate(boxes: Boxes) -> Enclosure:
+        found = Enclosure.not_found(boxes)
+        _write_margins(cable.tables, kept, body, boxes.arrays(), found.arrays())
+        return found
+
+    return evaluate
 
 
 @compiled

@@ -113,11 +113,6 @@ class Enclosure:
         """Return the arrays, which compiled code may change."""
         return EnclosureArrays(self.low, self.high, self.doubts, self.place)
 
-    @staticmethod
-    def over_time(high: Floats, doubt: Floats, place: Floats) -> "Enclosure":
-        """Return the enclosure of values (m,) whose only coordinate is time."""
-        return Enclosure(high - doubt, high, doubt[:, None], place)
-
 
 class EnclosureArrays(NamedTuple):
     """Arrays of an :class:`Enclosure`, for compiled code."""

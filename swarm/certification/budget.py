@@ -24,6 +24,7 @@ from swarm.certification.cable_spans import all_pairs, exempt_length
 from swarm.certification.clearances import (
     Moment,
     Place,
+    PlanChecks,
 )
 from swarm.certification.distances import segment_name
 from swarm.certification.excitation import (
@@ -36,7 +37,7 @@ from swarm.certification.excitation import (
 )
 from swarm.certification.kinds import kind_of
 from swarm.certification.strand_pieces import BIN
-from swarm.certification.swing_tube import PIECES, PairSwing, swing_tube
+from swarm.certification.swing_tube import PIECES, PairSwing
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
 from swarm.geometry.distance import polyline_polyline
 from swarm.geometry.linear_response import linear_response
@@ -159,7 +160,7 @@ class _Strand:
 
 def budgets(plan: Plan, moments: Iterable[Moment]) -> tuple[Budget, ...]:
     """Return the rows for moments between two strands, in the given order."""
-    tube = swing_tube(plan)
+    tube = PlanChecks.of(plan).tube
     swing = tube.pairs if tube else None
     return tuple(
         budget_at(plan, moment.between, moment.time, moment.required, swing)
@@ -362,24 +363,6 @@ def _pressed(plan: Plan, place: Floats, strand: _Strand) -> Floats:
     farthest = strand.straightened()
     reached = min(1.0, deflection / max(float(np.linalg.norm(farthest)), 1e-9))
     return reached * farthest
-
-
-def table(rows: Iterable[Budget]) -> str:
-    """Return the rows as a text table, in centimetres."""
-    heads = (
-        "between", "at", "available", "tracking", "sag", "length", "grip", "swing", "excited",
-        "wind", "wash", "required", "remaining",
-    )  # fmt: skip
-    lines = ["  ".join([f"{heads[0]:<24}", *(f"{head:>9}" for head in heads[1:])])]
-    for row in rows:
-        values = (
-            row.available, row.tracking, row.amplification, row.length, row.grip, row.swing,
-            row.excited, row.wind, row.wash, row.required, row.remaining,
-        )  # fmt: skip
-        pair = " and ".join(name.replace("segment ", "") for name in row.between)
-        cells = [f"{row.time:>8.1f}s", *(f"{100 * value:>7.0f}cm" for value in values)]
-        lines.append("  ".join([f"{'segments ' + pair:<24}", *cells]))
-    return "\n".join(lines)
 
 
 _PAIRS = 12

@@ -10,7 +10,7 @@ from dataclasses import InitVar, dataclass, replace
 import numpy as np
 
 from swarm.certification.assessment import Assessment, assess, rounded_down, with_robustness
-from swarm.certification.clearances import Moment, Robustness, confirmed, tightest_moments
+from swarm.certification.clearances import Moment, Robustness, confirmed
 from swarm.certification.findings import Finding
 from swarm.certification.stream_loss import StreamLossCertificate
 from swarm.errors import Refused
@@ -20,24 +20,7 @@ from swarm.planning import Gate, Phase, Plan, digest
 Progress = Callable[[str, float], None]
 
 _CONSTRUCTION_KEY = object()
-"""Private to this module: only its functions create measured clearances and certificates."""
-
-
-def _require_key(key: object, values: str) -> None:
-    if key is not _CONSTRUCTION_KEY:
-        raise TypeError(f"{values} are created only by swarm.certification.certificate")
-
-
-@dataclass(frozen=True)
-class MeasuredClearances:
-    """The tightest moments of the plan with this digest, from :func:`measure_clearances`."""
-
-    digest: str
-    moments: tuple[Moment, ...]
-    key: InitVar[object]
-
-    def __post_init__(self, key: object) -> None:
-        _require_key(key, "measured clearances")
+"""Private to this module: only its functions create certificates."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -55,7 +38,8 @@ class Certificate:
     key: InitVar[object]
 
     def __post_init__(self, key: object) -> None:
-        _require_key(key, "certificates")
+        if key is not _CONSTRUCTION_KEY:
+            raise TypeError("certificates are created only by swarm.certification.certificate")
 
     @property
     def cleared(self) -> bool:
@@ -116,32 +100,19 @@ class Certificate:
         return self.digest == digest(plan)
 
 
-def measure_clearances(plan: Plan, progress: Progress | None = None) -> MeasuredClearances:
-    """Return the tightest moments of a plan; ``progress`` as in :func:`certify`."""
-    moments = tightest_moments(plan, progress=progress)
-    return MeasuredClearances(digest(plan), moments, _CONSTRUCTION_KEY)
-
-
 def certify(
     plan: Plan,
     *,
-    measured: MeasuredClearances | None = None,
     progress: Progress | None = None,
     robustness: bool = False,
 ) -> Certificate:
     """Check a plan and return its certificate, cleared or not.
 
-    ``measured`` are its clearances, if already computed. ``progress`` is called with the name of a
-    stage and the share of it that is done. With ``robustness``, e* and w* are computed too.
-
-    Raises :class:`ValueError` where ``measured`` belongs to another plan.
+    ``progress`` is called with the name of a stage and the share of it that is done. With
+    ``robustness``, e* and w* are computed too.
     """
-    measured = measured or measure_clearances(plan, progress)
-    name = digest(plan)
-    if measured.digest != name:
-        raise ValueError("the clearances were measured on another plan")
-    found = assess(plan, moments=measured.moments, progress=progress, robustness=robustness)
-    return Certificate(name, found, plan.mission.vehicles.tracking, _CONSTRUCTION_KEY)
+    found = assess(plan, progress=progress, robustness=robustness)
+    return Certificate(digest(plan), found, plan.mission.vehicles.tracking, _CONSTRUCTION_KEY)
 
 
 def certify_robustness(

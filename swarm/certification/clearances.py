@@ -16,12 +16,13 @@ above 0 needs no further proof.
 :func:`tightest_moments` measures the smallest of each kind for the certificate, :func:`violations`
 returns where margins fail, second by second, for the repair of a plan. A new
 kind is a row with an evaluator; repairs, monitor, reports and pages walk the same table.
+:class:`PlanChecks` is what all checks of one plan compute, each once.
 """
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, field
+from functools import cache, cached_property, lru_cache
 from itertools import chain
 
 import numpy as np
@@ -29,8 +30,8 @@ import numpy.typing as npt
 
 from swarm.certification.air import wind_tilt
 from swarm.certification.branch_and_bound import Boxes
-from swarm.certification.cable_spans import cable_spans
-from swarm.certification.kinds import KINDS, ROOT, Case, Family
+from swarm.certification.cable_spans import CableSpans, cable_spans
+from swarm.certification.kinds import KINDS, ROOT, Family
 from swarm.certification.minima import (
     Minima,
     boxes_of,
@@ -40,8 +41,15 @@ from swarm.certification.minima import (
 )
 from swarm.certification.motion_bounds import BoundedMotion
 from swarm.certification.strand_pieces import HeldCable, TubeRadii
-from swarm.certification.swing_tube import ordinary_tube
-from swarm.planning import Plan
+from swarm.certification.stream_loss import (
+    RateLimits,
+    StreamLossCertificate,
+    StreamLossModel,
+    certify_stream_loss,
+    limits_ahead,
+)
+from swarm.certification.swing_tube import PairSwing, Swings, SwingTube
+from swarm.planning import Plan, digest
 from swarm.threads import both, side_by_side
 
 Floats = npt.NDArray[np.float64]
@@ -78,6 +86,126 @@ class Robustness:
 
     tracking: float | None = None
     wind: float | None = None
+
+
+_DEFAULT = StreamLossModel()
+
+_LATEST = 5
+"""Plans whose checks are remembered: the timings of one that the planner compares. Their swings
+take 0.1 GB each for the Carrick mat."""
+
+
+@dataclass(unsafe_hash=True)
+class PlanChecks:
+    """What the checks of a plan compute, each once, when it is first asked for; from :meth:`of`.
+
+    Planner, certificate and flight ask for the same plan, one after the other: it is told by its
+    ``digest``, because the arrays of a plan are writable.
+    """
+
+    digest: str
+    plan: Plan = field(compare=False, repr=False)
+    _certificates: dict[StreamLossModel, StreamLossCertificate] = field(
+        default_factory=dict, compare=False, repr=False
+    )
+    _moments: tuple[Moment, ...] | None = field(default=None, compare=False, repr=False)
+
+    @staticmethod
+    def of(plan: Plan) -> "PlanChecks":
+        """Return the checks of a plan; the same for the same plan, among the latest ones."""
+        return _first_of_equal(PlanChecks(digest(plan), plan))
+
+    @cached_property
+    def spans(self) -> CableSpans:
+        """The spans of time in which the cable is held."""
+        return cable_spans(self.plan)
+
+    @cached_property
+    def motion(self) -> BoundedMotion:
+        """The motion with its bounds."""
+        return BoundedMotion(self.plan.motion)
+
+    def moments(self, progress: Progress | None = None) -> tuple[Moment, ...]:
+        """Return the tightest moments for the mission's tracking errors.
+
+        ``progress`` is called with the name of the stage and the share of it that is done.
+        """
+        if self._moments is None:
+            self._moments = tightest_moments(self.plan, progress=progress)
+        return self._moments
+
+    @cached_property
+    def planned_swings(self) -> Swings | None:
+        """The swings in the planned motion, with which all others begin; None without a tube."""
+        return Swings.planned_in(self.plan)
+
+    @cached_property
+    def ordinary_swings(self) -> Swings | None:
+        """Those, and the swings after ordinary stops and resumes."""
+        planned = self.planned_swings
+        return None if planned is None else planned.with_ordinary_stops()
+
+    @cached_property
+    def ordinary_tube(self) -> TubeRadii | None:
+        """:attr:`.SwingTube.ordinary` of the tube, without the other changes."""
+        swings = self.ordinary_swings
+        return None if swings is None else swings.radii
+
+    @property
+    def certified_tube(self) -> TubeRadii | None:
+        """The tube in which the clearances of a plan hold; None where it is quasi-static.
+
+        It is that of the planned motion, ordinary stops and resumes: the budget counts urgent stops
+        and rewinds, for strands. With ``fold.swing: auto`` the swing is not certified, since no
+        limit was asked for.
+        """
+        return self.ordinary_tube if self.plan.mission.fold.certifies_swing else None
+
+    @cached_property
+    def tube(self) -> SwingTube | None:
+        """The tube of the cable from the beginning of the fold to the end of its flight.
+
+        None for a plan without a fold of cable, and where a chord exceeds its cable, which the
+        checks of lengths report.
+        """
+        ordinary, swings = self.ordinary_tube, self.ordinary_swings
+        # 0.1 GB for the Carrick mat, which the tube takes over
+        for name in ("planned_swings", "ordinary_swings"):
+            vars(self).pop(name, None)
+        return None if swings is None or ordinary is None else swings.tube(ordinary)
+
+    def swing_after_urgent_stops(self) -> PairSwing | None:
+        """Return the part of :attr:`.SwingTube.pairs` that urgent stops of near pairs make.
+
+        See :meth:`.Swings.near_pairs_after_urgent_stops`; None where there is no tube.
+        """
+        certified = self.plan.mission.fold.certifies_swing
+        begun = self.ordinary_swings if certified else self.planned_swings
+        return None if begun is None else begun.near_pairs_after_urgent_stops()
+
+    @cached_property
+    def _limits_ahead(self) -> RateLimits:
+        return limits_ahead(self.plan, _DEFAULT)
+
+    @property
+    def rates_ahead(self) -> tuple[Floats, Floats]:
+        """Times (k,) and rates (k,) of the certificate of stream losses, for a clock that runs on.
+
+        In half of its time; none without a fold.
+        """
+        return self._limits_ahead.times, self._limits_ahead.rates
+
+    def stream_loss(self, model: StreamLossModel = _DEFAULT) -> StreamLossCertificate:
+        """Return :func:`.certify_stream_loss` of these vehicles."""
+        if model not in self._certificates:
+            ahead = self._limits_ahead if model == _DEFAULT else None
+            self._certificates[model] = certify_stream_loss(self.plan, model, ahead)
+        return self._certificates[model]
+
+
+@lru_cache(maxsize=_LATEST)
+def _first_of_equal(checks: PlanChecks) -> PlanChecks:
+    return checks
 
 
 def tightest_moments(
@@ -132,7 +260,7 @@ def certified(plan: Plan, *, tracking: float, tilt: float = 0.0) -> bool:
 
     Much faster than :func:`tightest_moments`, which measures margins.
     """
-    return not cable_spans(plan).problems and all(
+    return not PlanChecks.of(plan).spans.problems and all(
         failing is None for failing in side_by_side(Family.failing, families(plan, tracking, tilt))
     )
 
@@ -168,8 +296,8 @@ def families(
     """Return all non-empty families of a plan, with their spans and required distances.
 
     Distances of hanging cable hold for every tilt of the effective gravity up to the largest, of
-    any heading, the same for all segments. The cable swings within the :func:`certified_tube`;
-    without ``swinging`` it is quasi-static.
+    any heading, the same for all segments. The cable swings within the
+    :attr:`.PlanChecks.certified_tube`; without ``swinging`` it is quasi-static.
     """
     return families_of(plan, swinging=swinging)(tracking, tilt)
 
@@ -179,12 +307,12 @@ def families_of(plan: Plan, *, swinging: bool = True) -> Callable[..., tuple[Fam
 
     What both do not change is computed once.
     """
-    tube = certified_tube(plan) if swinging else None
-    motion, spans = BoundedMotion(plan.motion), cable_spans(plan)
+    checks = PlanChecks.of(plan)
+    tube = checks.certified_tube if swinging else None
 
     def families(tracking: float, tilt: float = 0.0) -> tuple[Family, ...]:
-        cable = HeldCable(motion, plan.layout.lengths, tracking, tilt, tube)
-        return _families(Case(plan, spans, cable), "m")
+        cable = HeldCable(checks.motion, plan.layout.lengths, tracking, tilt, tube)
+        return _families(plan, checks.spans, cable, "m")
 
     return families
 
@@ -194,24 +322,15 @@ def limits(plan: Plan) -> tuple[Family, ...]:
 
     Every piece of the motion is a span of its own, since jerk is bounded within pieces only.
     """
-    cable = HeldCable(BoundedMotion(plan.motion), plan.layout.lengths, 0.0)
-    return _families(Case(plan, cable_spans(plan), cable), "m/s", "m/s²")
+    checks = PlanChecks.of(plan)
+    cable = HeldCable(checks.motion, plan.layout.lengths, 0.0)
+    return _families(plan, checks.spans, cable, "m/s", "m/s²")
 
 
-def _families(case: Case, *units: str) -> tuple[Family, ...]:
+def _families(plan: Plan, spans: CableSpans, cable: HeldCable, *units: str) -> tuple[Family, ...]:
     """Return the non-empty families of the kinds whose margins have one of these units."""
-    every = (kind.family(case) for kind in KINDS if kind.unit in units)
+    every = (kind.family(plan, spans, cable) for kind in KINDS if kind.unit in units)
     return tuple(family for family in every if family is not None)
-
-
-def certified_tube(plan: Plan) -> TubeRadii | None:
-    """Return the tube in which the clearances of a plan hold; None where it is quasi-static.
-
-    It is that of the planned motion, ordinary stops and resumes: the budget counts urgent stops and
-    rewinds, for strands. With ``fold.swing: auto`` the swing is not certified, since no limit was
-    asked for.
-    """
-    return ordinary_tube(plan) if plan.mission.fold.certifies_swing else None
 
 
 MOST_TRACKING = 1.0

@@ -15,7 +15,12 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.bodies import Body, VehiclePairs, VehicleStrands, vehicle_segments
+from swarm.certification.bodies import (
+    Body,
+    vehicle_segments,
+    vehicles_and_strands,
+    vehicles_apart,
+)
 from swarm.certification.branch_and_bound import Boxes, Evaluator
 from swarm.certification.cable_spans import LYING, CableSpans, Spans, all_pairs, exempt_length
 from swarm.certification.distances import (
@@ -28,25 +33,25 @@ from swarm.certification.distances import (
 )
 from swarm.certification.far_apart import FarPairs, FarVehicles
 from swarm.certification.limits import (
-    AboveFloor,
-    DerivativeLimit,
-    HeightLimit,
-    InsideFence,
-    InsideFenceInWind,
-    Slack,
+    above_floor,
+    chords_within,
+    derivative_limit,
+    height_limit,
+    inside_fence,
+    inside_fence_in_wind,
 )
 from swarm.certification.minima import TOLERANCE, Intervals, failing, roots
 from swarm.certification.motion_bounds import BoundedMotion
 from swarm.certification.on_the_floor import (
     BELOW,
-    BesideRotors,
-    DrawnOut,
-    ReachPairs,
-    ReachVehicles,
-    RigidDescent,
+    beside_rotors,
+    drawn_out,
+    reach_of_segments,
+    reach_of_vehicles,
+    straight_down,
 )
 from swarm.certification.strand_pieces import HeldCable
-from swarm.certification.strands import StrandPairs
+from swarm.certification.strands import strands_apart
 from swarm.certification.team_margins import (
     BODIES,
     CEILING,
@@ -95,22 +100,46 @@ _TIMES: Final[Mapping[str, str]] = {
 
 
 class Case(NamedTuple):
-    """What is certified: a plan, the spans of its cable, and the held cable in its motion.
+    """What is certified: a kind, for a plan, with the spans of its cable and the held cable.
 
     The cable has the tracking radius, the largest tilt of gravity and the tube of the swing.
     """
 
+    kind: "Kind"
     plan: Plan
     spans: CableSpans
     cable: HeldCable
+
+    @property
+    def mission(self) -> Mission:
+        """The mission of the plan."""
+        return self.plan.mission
+
+    @property
+    def required(self) -> float:
+        """The required distance of the kind, metres."""
+        return self.kind.required(self.plan.mission)
 
     @property
     def motion(self) -> BoundedMotion:
         """The motion with its bounds."""
         return self.cable.motion
 
-    def during(self, when: When) -> Spans:
-        """Return spans of mission time."""
+    def family(
+        self,
+        names: Names,
+        evaluate: Evaluator,
+        others: Intervals = (),
+        *,
+        far: Callable[[Boxes], Flags] | None = None,
+        tolerance: float = TOLERANCE,
+        when: When | None = None,
+    ) -> "Family":
+        """Return the pairs with these names as a family, ``when`` the kind applies by default."""
+        spans = self._during(when or self.kind.when)
+        return Family(self.kind, names, self.required, spans, evaluate, others, far, tolerance)
+
+    def _during(self, when: When) -> Spans:
         times, spans = self.plan.motion.times, self.spans
         match when:
             case "always":
@@ -175,28 +204,14 @@ class Family:
         return roots(len(self.names), self.spans, ROOT, self.others)
 
 
-class Bound(NamedTuple):
-    """The pairs of objects of a kind by their names, and what bounds their margins.
-
-    The other fields as in :class:`.Family`; ``spans`` replace those of the kind.
-    """
-
-    names: Names
-    evaluate: Evaluator
-    others: Intervals = ()
-    far: Callable[[Boxes], Flags] | None = None
-    tolerance: float = TOLERANCE
-    spans: Spans | None = None
-
-
 @dataclass(frozen=True, eq=False)
 class Kind:
     """One kind of clearance.
 
     ``check`` is its name in findings, files and errors; ``objects`` and ``rule`` say in words what
-    is compared and required. ``bound`` makes its :class:`Bound` for a case and the required
-    distance in metres, ``required``, at the times ``when``; None where a plan has no such objects.
-    Margins have a ``unit``; those in metres count for e* and w*. Others are to a ``limit``.
+    is compared and required, ``when`` at which times. ``bound`` makes its :class:`Family` with the
+    distance in metres that is ``required``; None where a plan has no such objects. Margins have a
+    ``unit``; those in metres count for e* and w*. Others are to a ``limit``.
 
     ``tracking``, ``wind`` and ``swing`` tell whether tracking errors, winds and the tube of the
     swing count in the bound. ``place`` is that of its margin in :mod:`.team_margins`, where the
@@ -214,7 +229,7 @@ class Kind:
     objects: str
     rule: str
     when: When
-    bound: Callable[[Case, float], Bound | None]
+    bound: Callable[[Case], Family | None]
     required: Callable[[Mission], float] = lambda _: 0.0
     limit: Callable[[Mission], float] = lambda _: 0.0
     unit: str = "m"
@@ -230,182 +245,168 @@ class Kind:
     words: str = ""
     measured: Callable[[Plan, Floats, Floats], Tightest | None] | None = None
 
-    def family(self, case: Case) -> Family | None:
-        """Return its pairs with spans and required distance; None where it never applies."""
-        required = self.required(case.plan.mission)
-        bound = self.bound(case, required)
-        if bound is None:
-            return None
-        spans = self.during(case) if bound.spans is None else bound.spans
-        if not spans or not bound.names:
-            return None
-        return Family(
-            self, bound.names, required, spans, bound.evaluate, bound.others, bound.far,
-            bound.tolerance,
-        )  # fmt: skip
-
-    def during(self, case: Case) -> Spans:
-        """Return the spans of mission time in which it applies."""
-        return case.during(self.when)
+    def family(self, plan: Plan, spans: CableSpans, cable: HeldCable) -> Family | None:
+        """Return its pairs in a plan; None where it never applies."""
+        family = self.bound(Case(self, plan, spans, cable))
+        return family if family and family.spans and family.names else None
 
 
-def _chords(case: Case, _: float) -> Bound:
-    return Bound(case.segments("its length"), Slack(case.cable))
+def _chords(case: Case) -> Family:
+    return case.family(case.segments("its length"), chords_within(case.cable))
 
 
-def _two_segments(case: Case, required: float, *, neighbours: bool) -> Bound:
+def _two_segments(case: Case, *, neighbours: bool) -> Family:
     plan, cable = case.plan, case.cable
     every, every_part = all_pairs(plan.layout.lengths, exempt_length(plan), once=bool(cable.tilts))
     chosen = (every[:, 1] == every[:, 0] + 1) == neighbours
-    pairs, parts, diameter = every[chosen], every_part[chosen], plan.mission.cable.diameter
-    return Bound(
+    pairs, parts, diameter = every[chosen], every_part[chosen], case.mission.cable.diameter
+    return case.family(
         [(segment_name(i), segment_name(j)) for i, j in pairs],
-        StrandPairs(cable, pairs, parts, diameter, required),
+        strands_apart(cable, pairs, parts, diameter + case.required),
         (*cable.tilts, *_STRAND, *_STRAND),
         # Boxes around neighbours, which meet at their vehicle, are never apart.
-        None if neighbours else FarPairs(cable, pairs, required + diameter),
+        far=None if neighbours else FarPairs(cable, pairs, case.required + diameter),
     )
 
 
-def _segments_apart(case: Case, required: float) -> Bound:
-    return _two_segments(case, required, neighbours=False)
+def _segments_apart(case: Case) -> Family:
+    return _two_segments(case, neighbours=False)
 
 
-def _neighbours_apart(case: Case, required: float) -> Bound:
-    return _two_segments(case, required, neighbours=True)
+def _neighbours_apart(case: Case) -> Family:
+    return _two_segments(case, neighbours=True)
 
 
-def _above_floor(case: Case, required: float) -> Bound:
+def _above_floor(case: Case) -> Family:
     cable = case.cable
     others = (*cable.tilts, *_STRAND) if cable.tilts else ()
-    evaluate = AboveFloor(cable, case.plan.mission.cable.diameter, required)
-    return Bound(case.segments("the floor"), evaluate, others)
+    evaluate = above_floor(cable, case.mission.cable.diameter, case.required)
+    return case.family(case.segments("the floor"), evaluate, others)
 
 
-def _reach_of_segments(case: Case, required: float) -> Bound:
+def _reach_of_segments(case: Case) -> Family:
     first, second = np.triu_indices(case.plan.vehicles - 1, 2)
     pairs = np.stack([first, second], axis=1)
     names = [(segment_name(i), segment_name(j)) for i, j in pairs]
-    return Bound(names, ReachPairs(case.cable, pairs, case.plan.mission.cable.diameter, required))
+    apart = case.mission.cable.diameter + case.required
+    return case.family(names, reach_of_segments(case.cable, pairs, apart))
 
 
-def _reach_of_vehicles(case: Case, required: float) -> Bound:
-    mission = case.plan.mission
+def _reach_of_vehicles(case: Case) -> Family:
+    vehicles, cable = case.mission.vehicles, case.mission.cable
     pairs, _ = vehicle_segments(case.plan.vehicles)
-    return Bound(
+    around = vehicles.radius + 0.5 * cable.diameter + case.required
+    return case.family(
         [(vehicle_name(i), segment_name(j)) for i, j in pairs],
-        ReachVehicles(
-            case.cable, pairs, mission.vehicles.radius, mission.vehicles.grip_offset,
-            mission.cable.diameter, required,
-        ),
-    )  # fmt: skip
+        reach_of_vehicles(case.cable, pairs, vehicles.grip_offset, around),
+    )
 
 
-def _not_overstretched(case: Case, _: float) -> Bound:
+def _not_overstretched(case: Case) -> Family:
     cable = HeldCable(case.motion, case.plan.layout.lengths, 0.0)
-    return Bound(case.segments("its length"), Slack(cable, share=1.0))
+    return case.family(case.segments("its length"), chords_within(cable, share=1.0))
 
 
-def _lying(case: Case, _: float) -> Bound:
-    return Bound(case.vehicles("the floor"), HeightLimit(case.motion, LYING, -1.0))
+def _lying(case: Case) -> Family:
+    return case.family(case.vehicles("the floor"), height_limit(case.motion, LYING, -1.0))
 
 
-def _drawn_out(case: Case, _: float) -> Bound:
+def _drawn_out(case: Case) -> Family:
     line = [(segment_name(i), segment_name(i + 1)) for i in range(case.plan.vehicles - 2)]
-    return Bound(line, DrawnOut(case.motion))
+    return case.family(line, drawn_out(case.motion))
 
 
-def _beside_rotors(case: Case, _: float) -> Bound:
-    vehicles, half = case.plan.mission.vehicles, 0.5 * case.plan.mission.cable.diameter
+def _beside_rotors(case: Case) -> Family:
+    vehicles, half = case.mission.vehicles, 0.5 * case.mission.cable.diameter
     rim = max(vehicles.grip_offset - half, 0.0) / (vehicles.radius + half)
-    evaluate = BesideRotors(case.motion, case.cable.tracking, rim)
-    return Bound(case.segments("its vehicles"), evaluate)
+    evaluate = beside_rotors(case.motion, case.cable.tracking, rim)
+    return case.family(case.segments("its vehicles"), evaluate)
 
 
-def _straight_down(case: Case, _: float) -> Bound:
+def _straight_down(case: Case) -> Family:
     begins = np.array([start for start, _ in case.spans.landing])
-    return Bound(case.vehicles("the others"), RigidDescent(case.motion, begins))
+    return case.family(case.vehicles("the others"), straight_down(case.motion, begins))
 
 
-def _two_vehicles(case: Case, required: float) -> Bound:
+def _two_vehicles(case: Case) -> Family:
     pairs = np.stack(np.triu_indices(case.plan.vehicles, 1), axis=1)
-    downwash = case.plan.mission.clearance.downwash
-    return Bound(
+    downwash = case.mission.clearance.downwash
+    return case.family(
         [(vehicle_name(i), vehicle_name(j)) for i, j in pairs],
-        VehiclePairs(case.motion, pairs, case.cable.tracking, required, downwash),
+        vehicles_apart(case.motion, pairs, case.cable.tracking, case.required, downwash),
     )
 
 
-def _above_ground(case: Case, _: float) -> Bound:
-    evaluate = HeightLimit(case.motion, -BELOW, 1.0)
-    return Bound(case.vehicles("the floor"), evaluate, tolerance=BELOW)
+def _above_ground(case: Case) -> Family:
+    evaluate = height_limit(case.motion, -BELOW, 1.0)
+    return case.family(case.vehicles("the floor"), evaluate, tolerance=BELOW)
 
 
-def _below_ceiling(case: Case, _: float) -> Bound:
-    mission = case.plan.mission
+def _below_ceiling(case: Case) -> Family:
+    mission = case.mission
     height = mission.workspace.ceiling - mission.vehicles.grip_offset - case.cable.tracking
-    return Bound(case.vehicles("the ceiling"), HeightLimit(case.motion, height, sign=-1.0))
+    return case.family(case.vehicles("the ceiling"), height_limit(case.motion, height, sign=-1.0))
 
 
-def _vehicle_and_segment(case: Case, required: float, *, own: bool) -> Bound:
-    cable, mission = case.cable, case.plan.mission
+def _vehicle_and_segment(case: Case, *, own: bool) -> Family:
+    cable, mission = case.cable, case.mission
     radius, height = mission.vehicles.radius, mission.vehicles.grip_offset
-    diameter = mission.cable.diameter
+    diameter, required = mission.cable.diameter, case.required
     pairs = vehicle_segments(case.plan.vehicles)[1 if own else 0]
-    distances = np.full(len(pairs), required)
-    return Bound(
+    far = None if own else FarVehicles(cable, pairs, radius, height, required + 0.5 * diameter)
+    return case.family(
         [(vehicle_name(i), segment_name(j)) for i, j in pairs],
-        VehicleStrands(cable, pairs, Body(radius, height), diameter, distances),
+        vehicles_and_strands(cable, pairs, Body(radius, height), diameter, required),
         (*cable.tilts, *_STRAND),
-        None if own else FarVehicles(cable, pairs, radius, height, required + 0.5 * diameter),
+        far=far,
     )
 
 
-def _other_segments(case: Case, required: float) -> Bound:
-    return _vehicle_and_segment(case, required, own=False)
+def _other_segments(case: Case) -> Family:
+    return _vehicle_and_segment(case, own=False)
 
 
-def _own_segments(case: Case, required: float) -> Bound:
-    return _vehicle_and_segment(case, required, own=True)
+def _own_segments(case: Case) -> Family:
+    return _vehicle_and_segment(case, own=True)
 
 
-def _vehicles_inside(case: Case, _: float) -> Bound | None:
-    mission, vehicles = case.plan.mission, np.arange(case.plan.vehicles)
+def _vehicles_inside(case: Case) -> Family | None:
+    mission, vehicles = case.mission, np.arange(case.plan.vehicles)
     if mission.workspace.fence is None:
         return None
     fence = np.array(mission.workspace.fence)
     reach = np.full(len(vehicles), mission.vehicles.radius)
-    evaluate = InsideFence(case.motion, case.cable.tracking, fence, vehicles, vehicles, reach)
-    return Bound(case.vehicles("the fence"), evaluate)
+    evaluate = inside_fence(case.motion, case.cable.tracking, fence, (vehicles, vehicles), reach)
+    return case.family(case.vehicles("the fence"), evaluate)
 
 
-def _segments_inside(case: Case, _: float) -> Bound | None:
+def _segments_inside(case: Case) -> Family | None:
     """In wind only cable that hangs free."""
-    cable, mission, vehicles = case.cable, case.plan.mission, np.arange(case.plan.vehicles)
+    cable, mission, vehicles = case.cable, case.mission, np.arange(case.plan.vehicles)
     if mission.workspace.fence is None:
         return None
     fence, names = np.array(mission.workspace.fence), case.segments("the fence")
     if cable.tilts:
-        evaluate = InsideFenceInWind(cable, fence, mission.cable.diameter)
-        others, spans = (*cable.tilts, *_STRAND), case.during("hanging")
-        return Bound(names, evaluate, others, spans=spans)
+        evaluate = inside_fence_in_wind(cable, fence, mission.cable.diameter)
+        others = (*cable.tilts, *_STRAND)
+        return case.family(names, evaluate, others, when="hanging")
     reach = np.full(len(vehicles) - 1, 0.5 * mission.cable.diameter)
     if cable.tube is not None:
         reach += cable.tube.whole.max(axis=0)
     ends = vehicles[:-1], vehicles[1:]
-    return Bound(names, InsideFence(case.motion, cable.tracking, fence, *ends, reach))
+    return case.family(names, inside_fence(case.motion, cable.tracking, fence, ends, reach))
 
 
-def _speed(case: Case, _: float) -> Bound:
-    evaluate = DerivativeLimit(case.motion, case.plan.mission.vehicles.max_speed, 1)
-    return Bound(case.vehicles(""), evaluate, tolerance=_LIMIT_TOLERANCE)
+def _speed(case: Case) -> Family:
+    evaluate = derivative_limit(case.motion, case.mission.vehicles.max_speed, 1)
+    return case.family(case.vehicles(""), evaluate, tolerance=_LIMIT_TOLERANCE)
 
 
-def _acceleration(case: Case, _: float) -> Bound:
+def _acceleration(case: Case) -> Family:
     """The reserve for braking along the path is not available: a setpoint's acceleration is
     r²a + ṙv at the clock's rate r."""
-    evaluate = DerivativeLimit(case.motion, usable_acceleration(case.plan.mission), 2)
-    return Bound(case.vehicles(""), evaluate, tolerance=_LIMIT_TOLERANCE)
+    evaluate = derivative_limit(case.motion, usable_acceleration(case.mission), 2)
+    return case.family(case.vehicles(""), evaluate, tolerance=_LIMIT_TOLERANCE)
 
 
 def _cable(mission: Mission) -> float:

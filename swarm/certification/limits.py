@@ -1,12 +1,17 @@
 """Certified margins to limits: of chords, heights, speeds and accelerations, and to the fence."""
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.branch_and_bound import BoxArrays, Boxes, Enclosure, EnclosureArrays
+from swarm.certification.branch_and_bound import (
+    BoxArrays,
+    Boxes,
+    Enclosure,
+    EnclosureArrays,
+    Evaluator,
+)
 from swarm.certification.motion_bounds import (
     BoundedMotion,
     Grip,
@@ -14,6 +19,7 @@ from swarm.certification.motion_bounds import (
     TeamStates,
     ends_at,
     instant_at,
+    over_time,
 )
 from swarm.certification.strand_pieces import (
     CableTables,
@@ -43,88 +49,67 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 
 
-@dataclass(frozen=True, eq=False)
-class Slack:
-    """Margins of chords to ``share`` of their length, with both ends displaced; per segment."""
+def chords_within(cable: HeldCable, share: float = MAX_CHORD_RATIO) -> Evaluator:
+    """Bound the margins of chords to ``share`` of their length, with both ends displaced."""
 
-    cable: HeldCable
-    share: float = MAX_CHORD_RATIO
-
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box."""
-        time, half, instant = boxes.instants()
-        team = TeamStates.at(self.cable.motion, time, half)
-        first, last = boxes.group, boxes.group + 1
-        start, end = team.position[instant, first], team.position[instant, last]
-        allowed = self.share * self.cable.lengths[first] - 2.0 * self.cable.tracking
-        growth = team.drift(instant, last, team.velocity[instant, first])
+    def margin(team: TeamStates, instant: Ints, first: Ints) -> tuple[Floats, Floats, Floats]:
+        start, end = team.position[instant, first], team.position[instant, first + 1]
+        allowed = share * cable.lengths[first] - 2.0 * cable.tracking
+        growth = team.drift(instant, first + 1, team.velocity[instant, first])
         growth += team.deviation[instant, first]
-        high = allowed - np.linalg.norm(end - start, axis=-1)
-        return Enclosure.over_time(high, growth, 0.5 * (start + end))
+        return allowed - np.linalg.norm(end - start, axis=-1), growth, 0.5 * (start + end)
+
+    return over_time(cable.motion, margin)
 
 
-@dataclass(frozen=True, eq=False)
-class AboveFloor:
-    """Heights of the lowest points of strands above the floor (z = 0), less the required height."""
+def above_floor(cable: HeldCable, diameter: float, required: float) -> Evaluator:
+    """Bound the heights of the lowest points of strands above the floor, less the required height.
 
-    cable: HeldCable
-    diameter: float
-    required: float
+    In wind, coordinates are time, tilt and a fraction.
+    """
+    write = _write_heights_in_wind if cable.tilts else _write_heights
 
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box; in wind, coordinates are time, tilt and a fraction."""
+    def evaluate(boxes: Boxes) -> Enclosure:
         found = Enclosure.not_found(boxes)
-        heights = 0.5 * self.diameter, self.required
-        write = _write_heights_in_wind if self.cable.tilts else _write_heights
-        write(self.cable.tables, heights, boxes.arrays(), found.arrays())
+        write(cable.tables, (0.5 * diameter, required), boxes.arrays(), found.arrays())
         return found
 
+    return evaluate
 
-@dataclass(frozen=True, eq=False)
-class HeightLimit:
-    """Vertical distances of grip points from a height; per vehicle.
+
+def height_limit(motion: BoundedMotion, height: float, sign: float) -> Evaluator:
+    """Bound the vertical distances of grip points from a height; per vehicle.
 
     ``sign`` 1 requires grip points above ``height``, −1 below it.
     """
 
-    motion: BoundedMotion
-    height: float
-    sign: float
+    def margin(team: TeamStates, instant: Ints, vehicle: Ints) -> tuple[Floats, Floats, Floats]:
+        place = team.position[instant, vehicle]
+        climb = np.abs(team.velocity[instant, vehicle, 2]) * team.half[instant]
+        climb += team.deviation[instant, vehicle]
+        return sign * (place[:, 2] - height), climb, place
 
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box."""
-        time, half, instant = boxes.instants()
-        team = TeamStates.at(self.motion, time, half)
-        place = team.position[instant, boxes.group]
-        climb = np.abs(team.velocity[instant, boxes.group, 2]) * half[instant]
-        climb += team.deviation[instant, boxes.group]
-        return Enclosure.over_time(self.sign * (place[:, 2] - self.height), climb, place)
+    return over_time(motion, margin)
 
 
-@dataclass(frozen=True, eq=False)
-class DerivativeLimit:
-    """Margins of a derivative of vehicles' positions to ``largest``; per vehicle.
+def derivative_limit(motion: BoundedMotion, largest: float, order: Literal[1, 2]) -> Evaluator:
+    """Bound the margins of a derivative of vehicles' positions to ``largest``; per vehicle.
 
     ``order`` 1 limits speeds in m/s, 2 accelerations in m/s², with those that jumps of velocity
     hide (:attr:`.BoundedMotion.kinks`).
     """
+    change = motion.acceleration_bound if order == 1 else motion.jerk_bound
 
-    motion: BoundedMotion
-    largest: float
-    order: Literal[1, 2]
-
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box."""
-        time, half, instant = boxes.instants()
-        motion, state = self.motion, self.motion.at(time)
-        change = motion.acceleration_bound if self.order == 1 else motion.jerk_bound
-        bound = change(time - half, time + half)[instant, boxes.group]
-        size = np.linalg.norm(state[self.order][instant, boxes.group], axis=-1)
-        if self.order == 2:
+    def margin(team: TeamStates, instant: Ints, vehicle: Ints) -> tuple[Floats, Floats, Floats]:
+        time, half, state = team.time, team.half, motion.at(team.time)
+        bound = change(time - half, time + half)[instant, vehicle]
+        size = np.linalg.norm(state[order][instant, vehicle], axis=-1)
+        if order == 2:
             piece = np.searchsorted(motion.tables.joints, time, side="right")
-            size += motion.kinks[piece[instant], boxes.group]
-        place = state[0][instant, boxes.group]
-        return Enclosure.over_time(self.largest - size, bound * half[instant], place)
+            size += motion.kinks[piece[instant], vehicle]
+        return largest - size, bound * half[instant], state[0][instant, vehicle]
+
+    return over_time(motion, margin)
 
 
 @compiled
@@ -198,54 +183,43 @@ _OUTSIDE = 1e-6
 """Metres by which a strand with a grip outside counts as outside: any positive number will do."""
 
 
-@dataclass(frozen=True, eq=False)
-class InsideFence:
-    """Distances of objects from a fence in plan view, in still air; negative outside.
+def inside_fence(
+    motion: BoundedMotion, tracking: float, fence: Floats, ends: tuple[Ints, Ints], reach: Floats
+) -> Evaluator:
+    """Bound the distances of objects from a fence in plan view, in still air; negative outside.
 
-    ``fence`` (m, 2). An object lies straight between the grip points ``first`` and ``last`` (q,) in
-    plan view (twice the same for a vehicle) and extends to the side by ``reach`` (q,).
+    ``fence`` (m, 2). An object lies straight between two grip points (q,) in plan view (twice the
+    same for a vehicle) and extends to the side by ``reach`` (q,).
     """
 
-    motion: BoundedMotion
-    tracking: float
-    fence: Floats
-    first: Ints
-    last: Ints
-    reach: Floats
-
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box."""
-        time, half, instant = boxes.instants()
-        team = TeamStates.at(self.motion, time, half)
-        first, last = self.first[boxes.group], self.last[boxes.group]
-        ends = np.stack([team.position[instant, first], team.position[instant, last]], axis=1)
-        high = np.empty(len(boxes))
-        _write_inside(ends, contiguous(sides_of(self.fence)), np.empty((2, 3)), high)
-        still = np.zeros((len(boxes), 3))
+    def margin(team: TeamStates, instant: Ints, group: Ints) -> tuple[Floats, Floats, Floats]:
+        first, last = ends[0][group], ends[1][group]
+        places = np.stack([team.position[instant, first], team.position[instant, last]], axis=1)
+        high = np.empty(len(group))
+        _write_inside(places, contiguous(sides_of(fence)), np.empty((2, 3)), high)
+        still = np.zeros((len(group), 3))
         drift = np.maximum(team.drift(instant, first, still), team.drift(instant, last, still))
-        high = high - self.tracking - self.reach[boxes.group]
-        return Enclosure.over_time(high, drift, ends.mean(axis=1))
+        return high - tracking - reach[group], drift, places.mean(axis=1)
+
+    return over_time(motion, margin)
 
 
-@dataclass(frozen=True, eq=False)
-class InsideFenceInWind:
-    """Distances of strands that lean in the wind from a fence; per segment, negative outside.
+def inside_fence_in_wind(cable: HeldCable, fence: Floats, diameter: float) -> Evaluator:
+    """Bound the distances of strands that lean in the wind from a fence; negative outside.
 
     ``fence`` (m, 2). A strand with both grips inside is inside where it is apart from every side of
-    the fence, seen as a vertical wall.
+    the fence, seen as a vertical wall. Coordinates are time, tilt and the strand's fraction.
     """
 
-    cable: HeldCable
-    fence: Floats
-    diameter: float
-
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box; coordinates are time, tilt and the strand's fraction."""
+    def evaluate(boxes: Boxes) -> Enclosure:
         found = Enclosure.not_found(boxes)
-        sides = contiguous(sides_of(self.fence))
-        half, chord = 0.5 * self.diameter, np.empty((2, 3))
-        _write_inside_in_wind(self.cable.tables, sides, half, boxes.arrays(), chord, found.arrays())
+        sides, chord = contiguous(sides_of(fence)), np.empty((2, 3))
+        _write_inside_in_wind(
+            cable.tables, sides, 0.5 * diameter, boxes.arrays(), chord, found.arrays()
+        )
         return found
+
+    return evaluate
 
 
 def sides_of(fence: Floats) -> Floats:

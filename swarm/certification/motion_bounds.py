@@ -1,5 +1,6 @@
 """Bounds of a motion on intervals of time: positions, velocities, accelerations and jerks."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import comb, perm
@@ -8,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.branch_and_bound import ROUNDING
+from swarm.certification.branch_and_bound import ROUNDING, Boxes, Enclosure, Evaluator
 from swarm.geometry.distance import norms
 from swarm.geometry.motion import Motion, find_piece, place_in_piece, speed_in_piece
 from swarm.geometry.vectors import Vector
@@ -160,6 +161,22 @@ class TeamStates:
         speed = norms(self.velocity[instant, vehicle] - frame)
         bound: Floats = speed * self.half[instant] + self.deviation[instant, vehicle]
         return bound
+
+
+Margin = Callable[[TeamStates, Ints, Ints], tuple[Floats, Floats, Floats]]
+"""From states of the team, and the instant and the group of each box (b,): margins (b,) at the
+instants, how much less they are at most within the half widths, and their places (b, 3)."""
+
+
+def over_time(motion: BoundedMotion, margin: Margin) -> Evaluator:
+    """Return the evaluator of a margin whose only coordinate is time."""
+
+    def evaluate(boxes: Boxes) -> Enclosure:
+        time, half, instant = boxes.instants()
+        high, less, place = margin(TeamStates.at(motion, time, half), instant, boxes.group)
+        return Enclosure(high - less, high, less[:, None], place)
+
+    return evaluate
 
 
 class Instant(NamedTuple):

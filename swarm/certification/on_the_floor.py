@@ -7,17 +7,16 @@ Where these ellipsoids are apart, segments cannot entangle. Neighbours share a v
 compared.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.branch_and_bound import Boxes, Enclosure
-from swarm.certification.motion_bounds import BoundedMotion, TeamStates
+from swarm.certification.branch_and_bound import Boxes, Enclosure, Evaluator
+from swarm.certification.motion_bounds import BoundedMotion, TeamStates, over_time
 from swarm.certification.strand_pieces import HeldCable
 from swarm.geometry.distance import norms, point_segment, segment_segment
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
 RIGID = 0.005
 """Metres by which a team may change its shape in what counts as a common vertical descent. No
 distance relies on it: hanging strands are certified in the descent as in any other motion."""
@@ -27,21 +26,15 @@ BELOW = 1e-6
 relies on it."""
 
 
-@dataclass(frozen=True, eq=False)
-class DrawnOut:
-    """Margins of a line's bends to 60° in plan view; per inner vehicle, metres.
+def drawn_out(motion: BoundedMotion) -> Evaluator:
+    """Bound the margins of a line's bends to 60° in plan view; per inner vehicle, metres.
 
     The projection of the shorter chord on the longer one, less half the shorter one's length.
     Strands of a line with smaller bends keep apart, whether they hang or lie below it.
     """
 
-    motion: BoundedMotion
-
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box."""
-        time, half, instant = boxes.instants()
-        team = TeamStates.at(self.motion, time, half)
-        middle = boxes.group + 1
+    def margin(team: TeamStates, instant: Ints, group: Ints) -> tuple[Floats, Floats, Floats]:
+        middle = group + 1
         at, velocity = team.position[instant, middle], team.velocity[instant, middle]
         before = (at - team.position[instant, middle - 1])[:, :2]
         after = (team.position[instant, middle + 1] - at)[:, :2]
@@ -51,88 +44,65 @@ class DrawnOut:
             team.drift(instant, other, velocity) + team.deviation[instant, middle]
             for other in (middle - 1, middle + 1)
         )
-        high = along - 0.5 * sizes.min(axis=0)
-        return Enclosure.over_time(high, 1.5 * np.asarray(growth), at)
+        return along - 0.5 * sizes.min(axis=0), 1.5 * np.asarray(growth), at
+
+    return over_time(motion, margin)
 
 
-@dataclass(frozen=True, eq=False)
-class BesideRotors:
-    """Margins of chords to the rims of the rotor discs at both ends; per segment, metres.
+def beside_rotors(motion: BoundedMotion, tracking: float, rim: float) -> Evaluator:
+    """Bound the margins of chords to the rims of the rotor discs at both ends; per segment, metres.
 
     Cable on the floor or below a chord stays out of both discs where the chord rises less than the
-    line from a grip to the rim. At the segment's far end, for every displacement within the
-    tracking radius.
+    line from a grip to the rim: ``rim`` metres per metre from the disc's axis. At the segment's far
+    end, for every displacement within the tracking radius.
     """
 
-    motion: BoundedMotion
-    tracking: float
-    rim: float
-    """Height of the disc over the grip, per metre from its axis to the rim."""
-
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box."""
-        time, half, instant = boxes.instants()
-        team = TeamStates.at(self.motion, time, half)
-        first, last = boxes.group, boxes.group + 1
-        step = team.position[instant, last] - team.position[instant, first]
+    def margin(team: TeamStates, instant: Ints, first: Ints) -> tuple[Floats, Floats, Floats]:
+        start, end = team.position[instant, first], team.position[instant, first + 1]
+        step = end - start
         span, rise = np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])
-        growth = team.drift(instant, last, team.velocity[instant, first])
+        growth = team.drift(instant, first + 1, team.velocity[instant, first])
         growth += team.deviation[instant, first]
-        ball = 2.0 * self.tracking
-        high = self.rim * (span - ball) - (rise + ball)
-        middle = 0.5 * (team.position[instant, first] + team.position[instant, last])
-        return Enclosure.over_time(high, (1.0 + self.rim) * growth, middle)
+        ball = 2.0 * tracking
+        high = rim * (span - ball) - (rise + ball)
+        return high, (1.0 + rim) * growth, 0.5 * (start + end)
+
+    return over_time(motion, margin)
 
 
-@dataclass(frozen=True, eq=False)
-class RigidDescent:
-    """Margins of a team's change of shape to RIGID while it descends; per vehicle, metres.
+def straight_down(motion: BoundedMotion, starts: Floats) -> Evaluator:
+    """Bound the margins of a team's change of shape to RIGID in a descent; per vehicle, metres.
 
     ``starts`` (s,) are the times at which a descent begins.
     """
 
-    motion: BoundedMotion
-    starts: Floats
-
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box."""
-        time, half, instant = boxes.instants()
-        team = TeamStates.at(self.motion, time, half)
-        begun = np.searchsorted(self.starts, time, side="right") - 1
-        moved = team.position - self.motion.at(self.starts)[0][begun]
+    def margin(team: TeamStates, instant: Ints, vehicle: Ints) -> tuple[Floats, Floats, Floats]:
+        begun = np.searchsorted(starts, team.time, side="right") - 1
+        moved = team.position - motion.at(starts)[0][begun]
         moved[..., 2] -= moved[:, :1, 2].copy()
         down = team.velocity[instant, 0] * [0.0, 0.0, 1.0]
-        doubt = team.drift(instant, boxes.group, down) + team.deviation[instant, 0]
-        high = RIGID - np.linalg.norm(moved[instant, boxes.group], axis=-1)
-        return Enclosure.over_time(high, doubt, team.position[instant, boxes.group])
+        doubt = team.drift(instant, vehicle, down) + team.deviation[instant, 0]
+        high = RIGID - np.linalg.norm(moved[instant, vehicle], axis=-1)
+        return high, doubt, team.position[instant, vehicle]
+
+    return over_time(motion, margin)
 
 
-Ints = npt.NDArray[np.intp]
+def reach_of_segments(cable: HeldCable, pairs: Ints, required: float) -> Evaluator:
+    """Bound the distances between the ellipsoids of two segments, less the required distance.
 
-
-@dataclass(frozen=True, eq=False)
-class ReachPairs:
-    """Distances between the ellipsoids of two segments, surface to surface, less the required one.
-
-    ``pairs`` (q, 2) of segments that are not neighbours.
+    ``pairs`` (q, 2) of segments that are not neighbours; ``required`` is that of their middles.
     """
 
-    cable: HeldCable
-    pairs: Ints
-    diameter: float
-    required: float
-
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box."""
+    def evaluate(boxes: Boxes) -> Enclosure:
         time, half, instant = boxes.instants()
-        team = TeamStates.at(self.cable.motion, time, half)
-        first, second = self.pairs[boxes.group].T
+        team = TeamStates.at(cable.motion, time, half)
+        first, second = pairs[boxes.group].T
         ends_first, ends_second = _ends(team, instant, first), _ends(team, instant, second)
         mean = 0.25 * sum(
             team.velocity[instant, vehicle] for vehicle in (first, first + 1, second, second + 1)
         )
-        ball = 2.0 * self.cable.tracking
-        lengths = self.cable.lengths
+        ball, lengths = 2.0 * cable.tracking, cable.lengths
         drift_first, drift_second = (
             2.0 * np.maximum(*(team.drift(instant, k, mean) for k in (segment, segment + 1)))
             for segment in (first, second)
@@ -150,43 +120,34 @@ class ReachPairs:
             for direction in (_unit(towards) for towards in directions)
             for spare_first, spare_second in ((drift_first, drift_second), (0.0, 0.0))
         ]
-        shift = self.diameter + self.required
-        low, high = np.max(gaps[::2], axis=0) - shift, np.max(gaps[1::2], axis=0) - shift
+        low, high = np.max(gaps[::2], axis=0) - required, np.max(gaps[1::2], axis=0) - required
         place = _at(ends_first, closest.first) + 0.5 * between
         return Enclosure(low, high, (high - low)[:, None], place)
 
+    return evaluate
 
-@dataclass(frozen=True, eq=False)
-class ReachVehicles:
-    """Distances of vehicles from the ellipsoids of others' segments, less the required distance.
 
-    ``pairs`` (q, 2) of a vehicle and a segment that it does not hold. A vehicle is a capsule from
-    its grip point ``height`` upwards, with ``radius``.
+def reach_of_vehicles(cable: HeldCable, pairs: Ints, height: float, required: float) -> Evaluator:
+    """Bound the distances of vehicles from the ellipsoids of others' segments, less the required.
+
+    ``pairs`` (q, 2) of a vehicle and a segment that it does not hold. ``required`` is that of the
+    segment's middle from the vehicle's axis, from its grip point ``height`` upwards.
     """
 
-    cable: HeldCable
-    pairs: Ints
-    radius: float
-    height: float
-    diameter: float
-    required: float
-
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box."""
-        time, half, instant = boxes.instants()
-        team = TeamStates.at(self.cable.motion, time, half)
-        vehicle, segment = self.pairs[boxes.group].T
+    def margin(team: TeamStates, instant: Ints, group: Ints) -> tuple[Floats, Floats, Floats]:
+        vehicle, segment = pairs[group].T
         grip = team.position[instant, vehicle]
-        axis = np.stack([grip, grip + np.array([0.0, 0.0, self.height])], axis=1)
+        axis = np.stack([grip, grip + np.array([0.0, 0.0, height])], axis=1)
         ends = _ends(team, instant, segment)
         # A step of d changes the sum of the distances from the ends by 2d at most.
         sums = sum(point_segment(ends[:, side], axis).distance for side in (0, 1))
-        high = 0.5 * (sums - self.cable.lengths[segment]) - 2.0 * self.cable.tracking
-        high -= self.radius + 0.5 * self.diameter + self.required
+        high = 0.5 * (sums - cable.lengths[segment]) - 2.0 * cable.tracking
+        high -= required
         frame = team.velocity[instant, vehicle]
         drift = np.maximum(*(team.drift(instant, k, frame) for k in (segment, segment + 1)))
-        drift += team.deviation[instant, vehicle]
-        return Enclosure.over_time(high, drift, grip)
+        return high, drift + team.deviation[instant, vehicle], grip
+
+    return over_time(cable.motion, margin)
 
 
 def _gap(normal: Floats, first: tuple[Floats, Floats], second: tuple[Floats, Floats]) -> Floats:

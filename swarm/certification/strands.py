@@ -7,7 +7,6 @@ and by other gravities (:mod:`.strand_pieces`), and the radius of the tube in wh
 (:mod:`.swing_tube`).
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +17,7 @@ from swarm.certification.branch_and_bound import (
     Boxes,
     Enclosure,
     EnclosureArrays,
+    Evaluator,
     same_in,
 )
 from swarm.certification.motion_bounds import Grip, Instant, ends_at, grip_at, instant_at
@@ -58,29 +58,23 @@ class _Pairs(NamedTuple):
     parts: Floats3
 
 
-@dataclass(frozen=True, eq=False)
-class StrandPairs:
-    """Distances of strands, surface to surface, less the required distance.
+def strands_apart(cable: HeldCable, pairs: Ints, parts: Floats, required: float) -> Evaluator:
+    """Bound the distances of strands' middles, less the required distance.
 
     ``pairs`` (q, 2) of segments, first < second; ``parts`` (q, 2, 2) the fractions between which
     each is compared. The frame of neighbours is their shared grip: in it, tracking errors displace
-    the other ends by up to twice the tracking radius.
+    the other ends by up to twice the tracking radius. Coordinates are time, in wind tilt, and
+    fractions.
     """
+    compared = _Pairs(contiguous(pairs), contiguous(parts))
 
-    cable: HeldCable
-    pairs: Ints
-    parts: Floats
-    diameter: float
-    required: float
-
-    def __call__(self, boxes: Boxes) -> Enclosure:
-        """Enclose the margin in each box; coordinates are time, in wind tilt, and fractions."""
+    def evaluate(boxes: Boxes) -> Enclosure:
         found = Enclosure.not_found(boxes)
-        pairs = _Pairs(contiguous(self.pairs), contiguous(self.parts))
-        required = self.diameter + self.required
-        tables, chords = self.cable.tables, np.empty((2, 2, 3))
-        _write_margins(tables, pairs, required, boxes.arrays(), chords, found.arrays())
+        tables, chords = cable.tables, np.empty((2, 2, 3))
+        _write_margins(tables, compared, required, boxes.arrays(), chords, found.arrays())
         return found
+
+    return evaluate
 
 
 @compiled

@@ -20,8 +20,7 @@ accelerations and of the sensitivity of strands extend them to the whole box.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -701,34 +700,24 @@ class StreamLossCertificate:
 
 
 def certify_stream_loss(
-    plan: Plan, model: StreamLossModel = StreamLossModel()
+    plan: Plan, model: StreamLossModel = StreamLossModel(), ahead: "RateLimits | None" = None
 ) -> StreamLossCertificate:
-    """Return the certificate of stream losses, of all or of single vehicles, during the fold."""
-    return _certificate_of(_Named(digest(plan), model, plan))
+    """Return the certificate of stream losses, of all or of single vehicles, during the fold.
 
-
-@dataclass(frozen=True)
-class _Named:
-    digest: str
-    model: StreamLossModel
-    plan: Plan = field(compare=False)
-
-
-@lru_cache(maxsize=4)
-def _certificate_of(named: _Named) -> StreamLossCertificate:
-    """Certificate and fleet ask for the same plan, which is told by its digest."""
-    plan, model, fold = named.plan, named.model, _fold(named.plan)
+    ``ahead`` are its :func:`limits_ahead`, if already computed.
+    """
+    name, fold = digest(plan), _fold(plan)
+    ahead = ahead or limits_ahead(plan, model)
+    times = ahead.times
     if fold is None:
-        none = np.empty(0)
         return StreamLossCertificate(
-            none, none, none, WorstLoss(np.inf, 0.0, 0), none, model, named.digest
+            times, times, times, WorstLoss(np.inf, 0.0, 0), times, model, name
         )
-    start, end, reversible = fold
-    times, ahead = _times(start, end), _ahead_of(named)
+    start, _, reversible = fold
     if not reversible:
         return StreamLossCertificate(
             times, ahead.rates, np.ones(len(times)), ahead.worst, times[ahead.infeasible], model,
-            named.digest,
+            name,
         )  # fmt: skip
     # mission time t is ``turned`` − t of the reversed motion
     turned = float(plan.motion.times[0] + plan.motion.times[-1])
@@ -738,7 +727,7 @@ def _certificate_of(named: _Named) -> StreamLossCertificate:
     worst = replace(back.worst, time=turned - back.worst.time)
     return StreamLossCertificate(
         times, ahead.rates, back.rates[::-1], min(ahead.worst, worst, key=lambda one: one.margin),
-        times[ahead.infeasible | back.infeasible[::-1]], model, named.digest,
+        times[ahead.infeasible | back.infeasible[::-1]], model, name,
     )  # fmt: skip
 
 
@@ -759,41 +748,27 @@ def _fastest(plan: Plan, start: float, end: float) -> float:
     return float(speeds.max()) + between
 
 
-def _times(start: float, end: float) -> Floats:
-    return np.append(np.arange(start, end, STEP), end)
+class RateLimits(NamedTuple):
+    """Rates (k,) in one direction of the clock at mission times (k,), the worst loss, and which
+    (k,) are infeasible."""
 
-
-def rates_ahead(plan: Plan) -> tuple[Floats, Floats]:
-    """Return the times (k,) and rates (k,) of a plan's certificate, for a clock that runs on.
-
-    In half of its time; none without a fold.
-    """
-    fold = _fold(plan)
-    if fold is None:
-        return np.empty(0), np.empty(0)
-    ahead = _ahead_of(_Named(digest(plan), StreamLossModel(), plan))
-    return _times(fold[0], fold[1]), ahead.rates
-
-
-class _Limits(NamedTuple):
-    """Rates (k,) in one direction of the clock, the worst loss, and which (k,) are infeasible."""
-
+    times: Floats
     rates: Floats
     worst: WorstLoss
     infeasible: Flags
 
 
-@lru_cache(maxsize=4)
-def _ahead_of(named: _Named) -> _Limits:
-    """Planner and certificate ask for the same plan, which is told by its digest."""
-    fold = _fold(named.plan)
+def limits_ahead(plan: Plan, model: StreamLossModel) -> RateLimits:
+    """Return the limits of a clock that runs on, in the fold of a plan; none without a fold."""
+    fold = _fold(plan)
     if fold is None:
-        raise ValueError("a plan without a fold has no limits for lost setpoints")
+        none = np.empty(0)
+        return RateLimits(none, none, WorstLoss(np.inf, 0.0, 0), np.empty(0, dtype=np.bool_))
     start, end, _ = fold
-    return _limits_of(named.plan, named.model, _times(start, end), end)
+    return _limits_of(plan, model, np.append(np.arange(start, end, STEP), end), end)
 
 
-def _limits_of(plan: Plan, model: StreamLossModel, times: Floats, end: float) -> _Limits:
+def _limits_of(plan: Plan, model: StreamLossModel, times: Floats, end: float) -> RateLimits:
     """Return the limits of a clock that runs on along a plan's motion, no farther than ``end``."""
     overrun = model.overrun(plan, (float(times[0]), end))
     accepted = _Accepted(_FOUND, exact=True)
@@ -803,7 +778,7 @@ def _limits_of(plan: Plan, model: StreamLossModel, times: Floats, end: float) ->
     unshown = _lower(StreamLossBound(plan, overrun, end), times, rates, lost)
     tightest = int(np.argmin(margins))
     worst = WorstLoss(float(margins[tightest]), float(times[tightest]), int(vehicles[tightest]))
-    return _Limits(_reachable(overrun.limits, times, rates), worst, lost | unshown)
+    return RateLimits(times, _reachable(overrun.limits, times, rates), worst, lost | unshown)
 
 
 def _lower(bound: StreamLossBound, times: Floats, rates: Floats, lost: Flags) -> Flags:

@@ -13,7 +13,7 @@ distance: how much nearer they come than their catenaries is computed for each p
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
-from functools import cache, lru_cache, partial
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +38,7 @@ from swarm.geometry.distance import norms, polyline_polyline
 from swarm.geometry.linear_response import linear_response
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
 from swarm.jit import compiled
-from swarm.planning import Plan, digest
+from swarm.planning import Plan
 from swarm.planning.shaping import COMPARED
 from swarm.signatures import Floats1, Floats2, Floats3, Floats4, Floats5, Ints1, Ints2, contiguous
 from swarm.threads import both
@@ -297,58 +297,10 @@ class SwingTube:
         return np.asarray(self.start + BIN * (np.arange(len(self.planned)) + 0.5))
 
 
-def swing_tube(plan: Plan) -> SwingTube | None:
-    """Return the tube of a plan's cable from the beginning of the fold to the end of its flight.
-
-    None for a plan without a fold of cable, and where a chord exceeds its cable, which the checks
-    of lengths report.
-    """
-    return _tube_of(_Named(digest(plan), plan))
-
-
-def swing_after_urgent_stops(plan: Plan) -> PairSwing | None:
-    """Return the part of :attr:`SwingTube.pairs` of a plan that urgent stops of near pairs make.
-
-    Of the pairs that tracking errors bring nearer than NEAR; no other strands are simulated, which
-    takes a tenth of the time of the whole tube. Where budgets are short in it, they are short. None
-    where there is no tube.
-    """
-    named = _Named(digest(plan), plan)
-    certified = plan.mission.fold.certifies_swing
-    begun = _ordinary_of(named) if certified else _begun(named)
-    if begun is None:
-        return None
-    near = begun.nearer_than(NEAR)
-    wanted = _wanted(near, len(plan.layout.lengths))
-    for swung in swings_after(plan, near.span, near.planned, _URGENT_STOPS, wanted):
-        near.collect_pairs(swung)
-    return _pairs_of(near)
-
-
-def begin_swings(plan: Plan) -> None:
-    """Compute and keep what :func:`swing_after_urgent_stops` and :func:`swing_tube` begin with."""
-    _begun(_Named(digest(plan), plan))
-
-
-def _wanted(swings: "_Swings", strands: int) -> Wanted:
-    """Return the strands of the close pairs, in their intervals and beside them."""
-    close = swings.close
-    found = np.zeros((_intervals(swings.span), strands), np.bool_)
-    for beside in (-1, 0, 1):
-        bins = np.clip(close.bins + beside, 0, len(found) - 1)
-        found[bins[:, None], close.pairs] = True
-    return Wanted(swings.span[0], found)
-
-
-def ordinary_tube(plan: Plan) -> TubeRadii | None:
-    """Return :attr:`SwingTube.ordinary` of a plan's tube, without the other changes."""
-    return _ordinary_radii_of(_Named(digest(plan), plan))
-
-
 def beyond_ordinary(plan: Plan, radii: TubeRadii) -> float:
     """Return how far other stops and resumes, with twice the links, come out of a plan's tube.
 
-    In metres beyond the ``radii`` of :func:`ordinary_tube`; negative where they stay inside.
+    In metres beyond the ``radii`` of :attr:`SwingTube.ordinary`; negative where they stay inside.
     Raises ValueError for a plan without a tube.
     """
     span = aloft(plan)
@@ -362,39 +314,8 @@ def beyond_ordinary(plan: Plan, radii: TubeRadii) -> float:
     return float((most - radii.pieces[:, :, LEAVES:]).max())
 
 
-@dataclass(frozen=True)
-class _Named:
-    digest: str
-    plan: Plan = field(compare=False)
-
-
-@lru_cache(maxsize=8)
-def _tube_of(named: _Named) -> SwingTube | None:
-    """Every call of the certificate's search needs the tube; its plan is told by its digest."""
-    ordinary, swings = _ordinary_radii_of(named), _ordinary_of(named)
-    _ordinary_of.cache_clear()
-    _begun.cache_clear()
-    if swings is None or ordinary is None:
-        return None
-    swings.collect(swings_after(named.plan, swings.span, swings.planned, _URGENT))
-    return _made_of(swings, ordinary)
-
-
 _URGENT = tuple(course for course in COURSES if course.urgent)
 _URGENT_STOPS = tuple(course for course in _URGENT if course.target == 0.0)
-
-
-def _made_of(swings: "_Swings", ordinary: TubeRadii) -> SwingTube:
-    found, start = swings.found, swings.span[0]
-    names = dict.fromkeys(course.name for course in COURSES)
-    return SwingTube(
-        start=start,
-        planned=found[_PLANNED].max(axis=2),
-        changed={name: float(found[name].max()) for name in names},
-        all_changes=_radii(start, found),
-        ordinary=ordinary,
-        pairs=_pairs_of(swings),
-    )
 
 
 def _leaves(strays: Floats) -> Floats:
@@ -404,23 +325,101 @@ def _leaves(strays: Floats) -> Floats:
     return np.stack(leaves, axis=2)
 
 
-def _pairs_of(swings: "_Swings") -> PairSwing:
-    bound = (1.0 + BETWEEN_SAMPLES) * swings.approach + 2.0 * (BETWEEN_STOPS + MODEL_ERROR)
-    return PairSwing(swings.span[0], swings.close, bound)
-
-
 @dataclass(frozen=True, eq=False)
-class _Swings:
+class Swings:
     """Largest strays ``found`` (k, n − 1, links + 1) in each interval, by the name of the change,
-    and the ``approach`` (r,) of ``close`` pairs, metres."""
+    and the ``approach`` (r,) of ``close`` pairs, metres: of a plan in a span of mission time."""
 
+    plan: Plan
     span: tuple[float, float]
     planned: PlannedSwing = field(repr=False)
     close: ClosePairs = field(repr=False)
     found: dict[str, Floats] = field(repr=False)
     approach: Floats = field(repr=False)
 
-    def nearer_than(self, distance: float) -> "_Swings":
+    @staticmethod
+    def planned_in(plan: Plan) -> "Swings | None":
+        """Return the swings in the planned motion; None for a plan without a tube.
+
+        A plan without a fold of cable has none, nor has one in which a chord exceeds its cable.
+        """
+        span = aloft(plan)
+        if span is None:
+            return None
+        middles = np.asarray(span[0] + BIN * (np.arange(_intervals(span)) + 0.5), dtype=np.float64)
+        close, planned = both(
+            lambda: close_pairs(plan, middles, exempt_length(plan)),
+            lambda: planned_swing(plan, span),
+        )
+        swings = Swings(plan, span, planned, close, {}, np.zeros(len(close.bins)))
+        swings.collect([planned.swung])
+        return swings
+
+    def with_ordinary_stops(self) -> "Swings":
+        """Return the swings with those after ordinary stops and their resumes.
+
+        They show whether the clearances are kept.
+        """
+        swings = replace(self, found=dict(self.found), approach=self.approach.copy())
+        swings.collect(swings_after(self.plan, self.span, self.planned, ORDINARY_COURSES))
+        return swings
+
+    def tube(self, ordinary: TubeRadii) -> SwingTube:
+        """Add urgent changes to the swings after ordinary ones, and return the tube of all."""
+        self.collect(swings_after(self.plan, self.span, self.planned, _URGENT))
+        names = dict.fromkeys(course.name for course in COURSES)
+        return SwingTube(
+            start=self.span[0],
+            planned=self.found[_PLANNED].max(axis=2),
+            changed={name: float(self.found[name].max()) for name in names},
+            all_changes=self.radii,
+            ordinary=ordinary,
+            pairs=self.pairs,
+        )
+
+    @property
+    def radii(self) -> TubeRadii:
+        """The radii for these swings.
+
+        A change between two simulated ones passes through each mission time at most half their
+        distance from where one of them does: the intervals before and after count, too.
+        """
+        larger = {_RESUMED: 1.0 + BETWEEN_RESTS}
+        most = np.maximum.reduce(
+            [larger.get(name, 1.0) * each for name, each in self.found.items()]
+        )
+        wide = np.pad(most, ((1, 1), (0, 0), (0, 0)), mode="edge")
+        most = np.maximum(most, np.maximum(wide[:-2], wide[2:]))
+        bound = (1.0 + BETWEEN_SAMPLES) * _leaves(most) + BETWEEN_STOPS + MODEL_ERROR
+        return TubeRadii.of_leaves(self.span[0], bound)
+
+    @property
+    def pairs(self) -> PairSwing:
+        """Bounds of how much nearer close pairs come in these swings."""
+        bound = (1.0 + BETWEEN_SAMPLES) * self.approach + 2.0 * (BETWEEN_STOPS + MODEL_ERROR)
+        return PairSwing(self.span[0], self.close, bound)
+
+    def near_pairs_after_urgent_stops(self) -> PairSwing:
+        """Return bounds for the pairs that tracking errors bring nearer than NEAR, after these.
+
+        No other strands are simulated, which takes a tenth of the time of the whole tube. Where
+        budgets are short in it, they are short.
+        """
+        near = self.nearer_than(NEAR)
+        wanted = near.wanted(len(self.plan.layout.lengths))
+        for swung in swings_after(self.plan, near.span, near.planned, _URGENT_STOPS, wanted):
+            near.collect_pairs(swung)
+        return near.pairs
+
+    def wanted(self, strands: int) -> Wanted:
+        """Return the strands of the close pairs, in their intervals and beside them."""
+        found = np.zeros((_intervals(self.span), strands), np.bool_)
+        for beside in (-1, 0, 1):
+            bins = np.clip(self.close.bins + beside, 0, len(found) - 1)
+            found[bins[:, None], self.close.pairs] = True
+        return Wanted(self.span[0], found)
+
+    def nearer_than(self, distance: float) -> "Swings":
         """Return those of the pairs of which tracking errors leave less, without the strays."""
         near = np.flatnonzero(self.close.left < distance)
         return replace(self, found={}, close=self.close.taken(near), approach=self.approach[near])
@@ -459,52 +458,3 @@ def _moments(swung: Swung) -> Floats:
 
 def _intervals(span: tuple[float, float]) -> int:
     return int(np.ceil((span[1] - span[0]) / BIN))
-
-
-@lru_cache(maxsize=8)
-def _ordinary_radii_of(named: _Named) -> TubeRadii | None:
-    swings = _ordinary_of(named)
-    return None if swings is None else _radii(swings.span[0], swings.found)
-
-
-@lru_cache(maxsize=1)
-def _ordinary_of(named: _Named) -> _Swings | None:
-    """The planned motion, ordinary stops and their resumes: they show whether the clearances are
-    kept. Remembered, 0.1 GB for the Carrick mat, until the others are added."""
-    begun = _begun(named)
-    if begun is None:
-        return None
-    swings = replace(begun, found=dict(begun.found), approach=begun.approach.copy())
-    swings.collect(swings_after(named.plan, swings.span, swings.planned, ORDINARY_COURSES))
-    return swings
-
-
-@lru_cache(maxsize=1)
-def _begun(named: _Named) -> _Swings | None:
-    """The swings of the planned motion, and the close pairs, which no caller changes: near pairs
-    and the whole tube begin with them."""
-    plan = named.plan
-    span = aloft(plan)
-    if span is None:
-        return None
-    middles = np.asarray(span[0] + BIN * (np.arange(_intervals(span)) + 0.5), dtype=np.float64)
-    close, planned = both(
-        lambda: close_pairs(plan, middles, exempt_length(plan)), lambda: planned_swing(plan, span)
-    )
-    swings = _Swings(span, planned, close, {}, np.zeros(len(close.bins)))
-    swings.collect([planned.swung])
-    return swings
-
-
-def _radii(start: float, found: dict[str, Floats]) -> TubeRadii:
-    """Return the radii for strays (k, n − 1, links + 1) in metres in each interval, by change.
-
-    A change between two simulated ones passes through each mission time at most half their distance
-    from where one of them does: the intervals before and after count, too.
-    """
-    larger = {_RESUMED: 1.0 + BETWEEN_RESTS}
-    most = np.maximum.reduce([larger.get(name, 1.0) * each for name, each in found.items()])
-    wide = np.pad(most, ((1, 1), (0, 0), (0, 0)), mode="edge")
-    most = np.maximum(most, np.maximum(wide[:-2], wide[2:]))
-    bound = (1.0 + BETWEEN_SAMPLES) * _leaves(most) + BETWEEN_STOPS + MODEL_ERROR
-    return TubeRadii.of_leaves(start, bound)

@@ -11,7 +11,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.assessment import Tightest
+from swarm.certification.distances import Tightest
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.stages import Stage
 from swarm.geometry.catenary import MAX_CHORD_RATIO

@@ -22,7 +22,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from swarm.certification.stream_loss import StreamLossCertificate, certify_stream_loss
+from swarm.certification.clearances import PlanChecks
+from swarm.certification.stream_loss import StreamLossCertificate
 from swarm.errors import Refused
 from swarm.flight.clearance import Audit, ClearedPlan
 from swarm.flight.clock import MissionClock
@@ -110,7 +111,7 @@ def _stream_loss_of(setup: Setup) -> StreamLossCertificate:
     certified = setup.flight_plan.stream_loss
     if certified is not None and certified.holds_for(setup.plan, model):
         return certified
-    return certify_stream_loss(setup.plan, model)
+    return PlanChecks.of(setup.plan).stream_loss(model)
 
 
 class Conductor:

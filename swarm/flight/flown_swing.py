@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.clearances import PlanChecks
 from swarm.certification.excitation import allowed_swing
-from swarm.certification.swing_tube import SwingTube, swing_tube
+from swarm.certification.swing_tube import SwingTube
 from swarm.flight.trace import Trace
 from swarm.planning import Plan
 
@@ -61,7 +62,7 @@ class SwingCurves:
 def swing_curves(plan: Plan, trace: Trace) -> SwingCurves | None:
     """Return what was estimated in a flight, planned and allowed; None without an estimate."""
     known = np.isfinite(trace.stray).all(axis=1) if trace.stray.shape[1] else np.empty(0, np.bool_)
-    tube = swing_tube(plan) if known.any() else None
+    tube = PlanChecks.of(plan).tube if known.any() else None
     if tube is None:
         return None
     time = trace.mission_time[known]

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from swarm.certification.clearances import PlanChecks
 from swarm.certification.findings import Finding, Severity
 from swarm.certification.stream_loss import (
     StreamLossCertificate,
     StreamLossModel,
-    certify_stream_loss,
 )
 from swarm.mavlink.frames import AutopilotName
 from swarm.mission import Vehicles
@@ -351,7 +351,7 @@ def stream_loss_findings(
     plan: Plan, model: StreamLossModel
 ) -> tuple[StreamLossCertificate, list[Finding]]:
     """Return the certificate of a plan for lost setpoints of these vehicles, with findings."""
-    found = certify_stream_loss(plan, model)
+    found = PlanChecks.of(plan).stream_loss(model)
     findings = found.findings()
     lands = [descent > 0.0 for descent in model.descent]
     if any(lands) and not all(lands):

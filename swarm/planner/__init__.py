@@ -13,14 +13,11 @@ from swarm.certification.budget import least_remaining
 from swarm.certification.certificate import (
     Certificate,
     CertifiedPlan,
-    MeasuredClearances,
     certify,
     certify_robustness,
-    measure_clearances,
     with_recorded_robustness,
 )
-from swarm.certification.clearances import Robustness
-from swarm.certification.stream_loss import rates_ahead
+from swarm.certification.clearances import PlanChecks, Robustness
 from swarm.mission import Mission
 from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower
 from swarm.planner.repairs import Kept, Unfinished, least_short, repair, slowed_for_budget
@@ -247,23 +244,23 @@ def _certified(paced: PacedPlan, progress: Progress | None) -> PlanningResult:
     Of several timings the last one that is cleared is returned. Where none is, it is the last one
     that is short of nothing but its budget, or else the first.
     """
-    timings, measured = [paced], [_measured(paced.plan, progress)]
+    timings = [_measured(paced, progress)]
     for _ in range(_RETIMED):
         again = slower(timings[-1])
         if again is None:
             break
-        timings.append(again)
-        measured.append(_measured(again.plan, progress))
+        timings.append(_measured(again, progress))
     refused: list[PlanningResult] = []
-    for again, clearances in zip(reversed(timings), reversed(measured), strict=True):
-        certificate = certify(again.plan, measured=clearances, progress=progress)
-        found = PlanningResult(again.plan, certificate)
+    for again in reversed(timings):
+        found = PlanningResult(again.plan, certify(again.plan, progress=progress))
         if found.certificate.cleared:
             return found
         refused.append(found)
     return next((found for found in refused if _certifiable(found.assessment)), refused[-1])
 
 
-def _measured(plan: Plan, progress: Progress | None) -> MeasuredClearances:
-    """Return the measured clearances of a plan, and have lost setpoints certified meanwhile."""
-    return both(lambda: measure_clearances(plan, progress), lambda: rates_ahead(plan))[0]
+def _measured(paced: PacedPlan, progress: Progress | None) -> PacedPlan:
+    """Return the plan with its clearances measured, and meanwhile its limits for lost setpoints."""
+    checks = PlanChecks.of(paced.plan)
+    both(lambda: checks.moments(progress), lambda: checks.rates_ahead)
+    return paced

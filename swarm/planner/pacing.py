@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from swarm.certification.clearances import PlanChecks
 from swarm.certification.strand_pieces import BIN
-from swarm.certification.stream_loss import FINE_RATES, rates_ahead, sampled_rates
+from swarm.certification.stream_loss import FINE_RATES, sampled_rates
 from swarm.certification.swing_runs import strands_of
 from swarm.geometry.motion import Motion
 from swarm.planning import Plan
@@ -236,7 +237,7 @@ def slowed_for_stops(paced: PacedPlan, times: Floats, excess: Floats) -> PacedPl
 
 def slower(paced: PacedPlan) -> PacedPlan | None:
     """Return the plan timed for the rates of its certificate; None where they are 1 already."""
-    times, rates = rates_ahead(paced.plan)
+    times, rates = PlanChecks.of(paced.plan).rates_ahead
     if paced.pacing is None or not len(times) or rates.min() >= 1.0:
         return None
     pacing = paced.pacing.slowed_for_loss(times - paced.plan.phase("fold").start, rates)

@@ -3,13 +3,8 @@
 from dataclasses import dataclass, replace
 
 from swarm.certification.budget import ShortBudget, short_moments
-from swarm.certification.clearances import Moment, violations
-from swarm.certification.swing_tube import (
-    PairSwing,
-    begin_swings,
-    swing_after_urgent_stops,
-    swing_tube,
-)
+from swarm.certification.clearances import Moment, PlanChecks, violations
+from swarm.certification.swing_tube import PairSwing
 from swarm.planning import Plan
 from swarm.threads import both
 
@@ -57,12 +52,12 @@ def checked_clearances(plan: Plan) -> tuple[Moment, ...]:
     """
     if _accepted(plan) or plan.mission.fold.certifies_swing:
         return violations(plan)
-    return both(lambda: violations(plan), lambda: begin_swings(plan))[0]
+    return both(lambda: violations(plan), lambda: PlanChecks.of(plan).planned_swings)[0]
 
 
 def budgets_after_urgent_stops(plan: Plan) -> ShortBudgets:
     """Return where the budget of near pairs is short; nowhere where the mission accepts that."""
-    swing = None if _accepted(plan) else swing_after_urgent_stops(plan)
+    swing = None if _accepted(plan) else PlanChecks.of(plan).swing_after_urgent_stops()
     return _short(plan, swing, complete=_accepted(plan))
 
 
@@ -71,7 +66,7 @@ def complete_budgets(plan: Plan) -> ShortBudgets:
 
     It takes the whole tube, which the certificate needs too.
     """
-    tube = None if _accepted(plan) else swing_tube(plan)
+    tube = None if _accepted(plan) else PlanChecks.of(plan).tube
     return _short(plan, tube.pairs if tube else None, complete=True)
 
 

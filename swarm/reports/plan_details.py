@@ -72,14 +72,24 @@ def _tightest_moments(moments: tuple[Moment, ...]) -> Table:
     return table
 
 
+_SHORT: Final = {
+    "tracking errors": "errors",
+    "lost setpoints": "lost",
+    "live monitor": "monitor",
+    "repaired": "repair",
+}
+"""Headings of the matrix that fit into 80 columns."""
+
+
 def _who_compares_what() -> Table:
-    """Return the matrix of the kinds of clearances, and what counts in them."""
+    """Return the matrix of all certified checks: what counts in them, who else compares them."""
     table = Table(box=None, padding=(0, 1, 0, 0), header_style="dim")
-    table.add_column("Checks")
-    for name in MATRIX:
-        table.add_column(name)
+    table.add_column("Checks", no_wrap=True)
+    for name in MATRIX[1:]:
+        table.add_column(_SHORT.get(name, name))
     for kind in KINDS:
-        table.add_row(kind.check, *(cell.replace("no", "–") for cell in coverage(kind)))
+        marks = ("–" if cell == "no" else "yes" for cell in coverage(kind)[1:])
+        table.add_row(kind.check, *marks)
     return table
 
 

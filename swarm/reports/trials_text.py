@@ -43,9 +43,8 @@ def _distances(clearance: Mapping[str, Any]) -> Table:
         table.add_column(heading, justify="right", no_wrap=True)
     for kind, values in clearance.items():
         if values["count"]:
-            table.add_row(
-                TRIAL_DISTANCES[kind], f"{values['required']:.2f} m", *_distribution(values)
-            )
+            required = f"{values['required']:.2f} m"
+            table.add_row(TRIAL_DISTANCES[kind], required, *_distribution(values))
     return table
 
 

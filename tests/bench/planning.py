@@ -68,7 +68,9 @@ def _planned(
     fold, cable = plan.phase("fold"), float(plan.layout.lengths.sum())
     words = f"{taken:6.1f} s" + (f" ({taken / budget:.2f} of {budget:g} s)" if budget else "")
     words += f", {plan.vehicles} vehicles, cell {plan.layout.cell:.2f} m, cable {cable:.1f} m"
-    words += f", fold {fold.end - fold.start:.0f} s, strands {found.cable.distance:.2f} m"
+    words += (
+        f", fold {fold.end - fold.start:.0f} s, strands {found.distances['cable'].distance:.2f} m"
+    )
     if overrides and name in REACH:
         most_cable, most_fold = REACH[name]
         words += f" (cable {cable / most_cable:.2f}, fold {(fold.end - fold.start) / most_fold:.2f}"

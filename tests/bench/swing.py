@@ -14,7 +14,8 @@ import numpy as np
 
 from swarm import planner
 from swarm.analysis.rope import planned_grips, simulate_rope
-from swarm.certification.swing_tube import SwingTube, swing_tube
+from swarm.certification.clearances import PlanChecks
+from swarm.certification.swing_tube import SwingTube
 from swarm.geometry.lumped_mass import cable_model, stray, swing
 from swarm.mission import parse_mission
 from swarm.planning import Plan
@@ -63,7 +64,7 @@ def main() -> None:
     for name in given.names:
         mission = parse_mission((MISSIONS / f"{name}.yaml").read_text(encoding="utf-8"), name)
         planned = planner.plan(mission, robustness=False)
-        plan, tube = planned.plan, swing_tube(planned.plan)
+        plan, tube = planned.plan, PlanChecks.of(planned.plan).tube
         assert tube is not None
         asked = REQUIRED.get(name, np.nan)
         fold, rows = plan.phase("fold"), planned.assessment.budget

@@ -33,7 +33,8 @@ def test_the_recorded_overhand_is_cleared(overhand_assessed):
     assert [f.message for f in overhand_assessed.findings if f.severity == "error"] == []
     assert overhand_assessed.cleared
     assert (overhand_assessed.knot, overhand_assessed.chirality) == ("3_1", "right")
-    assert overhand_assessed.cable.distance >= overhand_assessed.cable.required == 0.15
+    cable = overhand_assessed.distances["cable"]
+    assert cable.distance >= cable.required == 0.15
     tightest = [f for f in overhand_assessed.findings if f.check == "tightest"]
     assert len(tightest) == 5
     assert all(f.at_time is not None and f.where is not None for f in tightest)

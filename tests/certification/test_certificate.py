@@ -10,11 +10,9 @@ import pytest
 from swarm.certification.certificate import (
     Certificate,
     CertifiedPlan,
-    MeasuredClearances,
-    certify,
-    measure_clearances,
     without_cable,
 )
+from swarm.certification.clearances import PlanChecks
 from swarm.certification.stream_loss import StreamLossModel, certify_stream_loss
 from swarm.errors import Refused
 from swarm.flight.bench_flight import raised
@@ -80,12 +78,19 @@ def test_only_certify_creates_certificates():
     for key in (None, object(), True):
         with pytest.raises(TypeError, match="certificates are created only by"):
             Certificate(digest(OTHER.plan), CERTIFIED.assessment, 0.1, key)
-        with pytest.raises(TypeError, match="measured clearances are created only by"):
-            MeasuredClearances(digest(OTHER.plan), (), key)
     with pytest.raises(ValueError, match="must be specified"):
         replace(CERTIFIED.certificate, digest=digest(OTHER.plan))
-    with pytest.raises(ValueError, match="measured on another plan"):
-        certify(OTHER.plan, measured=measure_clearances(CERTIFIED.plan))
+
+
+def test_what_was_measured_counts_for_exactly_this_plan():
+    plan = replace(
+        OTHER.plan,
+        motion=replace(OTHER.plan.motion, coefficients=OTHER.plan.motion.coefficients.copy()),
+    )
+    before = PlanChecks.of(plan).moments()
+    assert PlanChecks.of(plan).moments() is before
+    plan.motion.coefficients[:, 0, 0, 0] += 0.1
+    assert PlanChecks.of(plan).moments() is not before
 
 
 def test_no_other_module_uses_the_construction_key():

@@ -37,7 +37,9 @@ def test_an_exported_plan_is_imported_as_the_same_motion(overhand, overhand_asse
     assessment = assess(plan)
     assert assessment.cleared
     assert (assessment.knot, assessment.chirality) == ("3_1", "right")
-    assert assessment.cable.distance == pytest.approx(overhand_assessed.cable.distance, abs=0.01)
+    assert assessment.distances["cable"].distance == pytest.approx(
+        overhand_assessed.distances["cable"].distance, abs=0.01
+    )
 
 
 def test_every_error_has_its_line():

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from swarm.certification.clearances import PlanChecks
 from swarm.certification.swing_runs import STEP, aloft, model_of, strands_of, swings
-from swarm.certification.swing_tube import swing_tube
 from swarm.flight.swinging import SwingEstimator
 from swarm.geometry.lumped_mass import cable_model, stray, swing
 from swarm.mission import mission_for_knot, parse_mission
@@ -82,7 +82,7 @@ def test_strays_are_interpolated_between_the_joints_of_few_links(bent: Plan) -> 
 
 
 def test_the_tube_of_finer_chains_contains_still_finer_ones(bent: Plan) -> None:
-    tube, lengths, fold = swing_tube(bent), bent.layout.lengths, bent.phase("fold")
+    tube, lengths, fold = PlanChecks.of(bent).tube, bent.layout.lengths, bent.phase("fold")
     assert tube is not None
     cable = bent.mission.cable
     model = replace(cable_model(cable.mass_per_length, cable.diameter), links=96, step=0.0025)

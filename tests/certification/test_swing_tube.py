@@ -13,7 +13,7 @@ from sitl.cable.swinging import SwingingRope
 from sitl.physics.dynamics import STEP as TICK
 from sitl.world import CableSpec
 from swarm.certification.assessment import swing_findings
-from swarm.certification.clearances import certified_tube, tightest_moments
+from swarm.certification.clearances import PlanChecks, tightest_moments
 from swarm.certification.strand_pieces import BIN, LEAVES, TubeRadii, radii_over
 from swarm.certification.swing_runs import (
     COURSES,
@@ -27,14 +27,7 @@ from swarm.certification.swing_runs import (
 from swarm.certification.swing_tube import (
     NEAR,
     SwingTube,
-    _begun,
-    _Named,
-    _ordinary_of,
-    _pairs_of,
-    _tube_of,
     beyond_ordinary,
-    swing_after_urgent_stops,
-    swing_tube,
 )
 from swarm.flight.clock import MissionClock
 from swarm.flight.flight_plan import basis_of
@@ -57,7 +50,7 @@ def shaped_overhand() -> tuple[Plan, SwingTube]:
     result = planned_overhand()
     assert result.certificate.cleared
     plan = result.plan
-    found = swing_tube(plan)
+    found = PlanChecks.of(plan).tube
     assert found is not None
     return plan, found
 
@@ -184,8 +177,7 @@ def test_the_tube_is_the_same_on_one_core(shaped: Plan, tube: SwingTube) -> None
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})
     try:
-        _tube_of.cache_clear()
-        again = swing_tube(shaped)
+        again = PlanChecks(digest(shaped), shaped).tube
     finally:
         os.sched_setaffinity(0, cores)
     assert again is not None
@@ -198,18 +190,19 @@ def test_the_tube_is_the_same_on_one_core(shaped: Plan, tube: SwingTube) -> None
 @pytest.mark.parametrize("limit", [0.06, "auto"])
 def test_near_pairs_swing_after_urgent_stops_as_all_do(shaped: Plan, limit: float | str) -> None:
     plan = with_limit(shaped, limit)
-    found, tube = swing_after_urgent_stops(plan), swing_tube(plan)
+    found, tube = PlanChecks.of(plan).swing_after_urgent_stops(), PlanChecks.of(plan).tube
     assert found is not None
     assert tube is not None
     near = tube.pairs.close.left < NEAR
     assert 0 < near.sum() < len(near)
     assert np.array_equal(found.close.pairs, tube.pairs.close.pairs[near])
     assert found.start == tube.pairs.start == tube.start
-    every = (_begun if limit == "auto" else _ordinary_of)(_Named(digest(plan), plan))
+    checks = PlanChecks.of(plan)
+    every = checks.planned_swings if limit == "auto" else checks.ordinary_swings
     assert every is not None
     every = replace(every, found={}, approach=every.approach.copy())
     every.collect(swings_after(plan, every.span, every.planned, COURSES[:1]))
-    assert np.array_equal(found.approach, _pairs_of(every).approach[near])
+    assert np.array_equal(found.approach, every.pairs.approach[near])
     assert (found.approach <= tube.pairs.approach[near]).all()
     assert found.approach.sum() > 0.9 * tube.pairs.approach[near].sum()
 
@@ -258,10 +251,10 @@ def test_the_default_overhand_is_certified_for_a_swinging_cable() -> None:
 
 
 def test_clearances_are_certified_without_urgent_changes(shaped: Plan, tube: SwingTube) -> None:
-    found = certified_tube(shaped)
+    found = PlanChecks.of(shaped).certified_tube
     assert found is not None
     assert np.array_equal(found.pieces, tube.ordinary.pieces)
-    assert certified_tube(with_limit(shaped, "auto")) is None
+    assert PlanChecks.of(with_limit(shaped, "auto")).certified_tube is None
     assert (tube.ordinary.pieces <= tube.all_changes.pieces).all()
     assert tube.ordinary.largest < 0.7 * tube.all_changes.largest
 
@@ -274,7 +267,7 @@ def test_a_shaped_fold_keeps_its_limit(shaped: Plan, tube: SwingTube) -> None:
 
 
 def test_an_unshaped_fold_swings_four_times_as_far(overhand: Plan) -> None:
-    found = swing_tube(overhand)
+    found = PlanChecks.of(overhand).tube
     assert found is not None
     assert found.planned.max() > 0.2
 
@@ -310,7 +303,9 @@ def test_the_finding_names_segment_and_time(shaped: Plan, tube: SwingTube) -> No
 def test_a_plan_with_a_chord_longer_than_its_cable_has_no_tube(shaped: Plan) -> None:
     lengths = shaped.layout.lengths.copy()
     lengths[3] *= 0.5
-    assert swing_tube(replace(shaped, layout=replace(shaped.layout, lengths=lengths))) is None
+    assert (
+        PlanChecks.of(replace(shaped, layout=replace(shaped.layout, lengths=lengths))).tube is None
+    )
 
 
 @settings(max_examples=4, deadline=None)

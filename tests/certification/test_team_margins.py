@@ -11,7 +11,7 @@ import pytest
 
 from swarm.certification.cable_spans import cable_spans, exempt_length
 from swarm.certification.clearances import families, limits
-from swarm.certification.kinds import KINDS, Case, Kind, coverage_table, kind_of
+from swarm.certification.kinds import KINDS, Kind, coverage_table, kind_of
 from swarm.certification.monitor import Monitor
 from swarm.certification.motion_bounds import BoundedMotion
 from swarm.certification.strand_pieces import LEAVES, HeldCable, TubeRadii
@@ -224,16 +224,17 @@ def test_the_table_says_who_compares_what() -> None:
 
     def margins(kind: Kind, tracking: float, tube: TubeRadii | None = None) -> np.ndarray:
         cable = HeldCable(motion, plan.layout.lengths, tracking, 0.0, tube)
-        family = kind.family(Case(plan, spans, cable))
-        return family.evaluate(family.roots()).low
+        family = kind.family(plan, spans, cable)
+        boxes = family.roots()
+        return family.evaluate(replace(boxes, half=0.02 * boxes.half)).low
 
     for kind in made:
         still = margins(kind, 0.0)
         assert (still > margins(kind, 0.05)).any() == kind.tracking, kind.check
         assert (still > margins(kind, 0.0, tube)).any() == kind.swing, kind.check
         leaning = HeldCable(motion, plan.layout.lengths, 0.0, 0.1, None)
-        family = kind.family(Case(plan, spans, leaning))
-        upright = kind.family(Case(plan, spans, HeldCable(motion, plan.layout.lengths, 0.0)))
+        family = kind.family(plan, spans, leaning)
+        upright = kind.family(plan, spans, HeldCable(motion, plan.layout.lengths, 0.0))
         changed = len(family.others) > len(upright.others)
         assert changed == kind.wind or kind.objects == "a vehicle and the fence", kind.check
 

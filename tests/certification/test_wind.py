@@ -5,6 +5,7 @@ import pytest
 
 from swarm.certification import strand_pieces as pieces
 from swarm.certification.air import wind_tilt
+from swarm.certification.cable_spans import all_pairs, exempt_length
 from swarm.certification.clearances import failure_in_wind, families, largest_wind, tightest_moments
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.catenary_kernel import Catenary
@@ -111,7 +112,11 @@ def test_in_no_case_within_a_box_is_a_margin_below_its_bound(check, speed, error
     pieces = 2 ** rng.integers(3, 7, size)
     boxes.half[:, 3:] = 0.5 / pieces
     boxes.middle[:, 3:] = (rng.integers(0, pieces) + 0.5) / pieces
-    low, compared = family.evaluate(boxes).low, getattr(family.evaluate, "parts", None)
+    every, parts = all_pairs(plan.layout.lengths, exempt_length(plan), once=bool(tilt))
+    neighbours = check == "neighbouring segments"
+    parts = parts[(every[:, 1] == every[:, 0] + 1) == neighbours]
+    compared = parts if neighbours or check == "cable clearance" else None
+    low = family.evaluate(boxes).low
     for k in np.flatnonzero(np.isfinite(low)):
         side = np.clip(rng.uniform(-2.0, 2.0, (60, len(half[k]))), -1.0, 1.0)
         case = boxes.middle[k] + side * boxes.half[k]
@@ -119,7 +124,8 @@ def test_in_no_case_within_a_box_is_a_margin_below_its_bound(check, speed, error
         place = plan.motion.at(case[:, 0])[0]
         place = displaced(rng, place, error)
         down = np.column_stack([case[:, 1:3], np.full(len(case), -1.0)])
-        pair = np.atleast_1d(getattr(family.evaluate, "pairs", np.arange(3))[boxes.group[k]])
+        names = [name for name in family.names[boxes.group[k]] if name != "the floor"]
+        pair = [int(name.split()[1]) - 1 for name in names]
         near = []
         for column, segment in enumerate(pair[-size[1] :]):
             f = boxes.middle[k, 3 + column] + np.linspace(-1, 1, 9) * boxes.half[k, 3 + column]

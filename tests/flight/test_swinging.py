@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from sitl.cable.swinging import SwingingRope
 from sitl.physics.dynamics import STEP
 from sitl.world import CableSpec
+from swarm.certification.clearances import PlanChecks
 from swarm.certification.excitation import allowed_swing, modes, variances_along
 from swarm.certification.monitor import SLOWEST, Monitor
-from swarm.certification.swing_tube import swing_tube
 from swarm.flight.flown_swing import flown_swing, largest_stray
 from swarm.flight.swinging import RECENT, Reports, Swing, SwingEstimator, lean
 from swarm.geometry.catenary import STANDARD_GRAVITY, solve_catenaries
@@ -168,7 +168,7 @@ def test_the_clock_slows_where_swinging_strands_come_near_each_other():
 
 
 def test_strands_may_swing_as_far_as_tube_and_budget_say():
-    tube, fold = swing_tube(PLAN), PLAN.phase("fold")
+    tube, fold = PlanChecks.of(PLAN).tube, PLAN.phase("fold")
     times = np.linspace(fold.start, fold.end, 50)
     radius = np.array([tube.all_changes.strands(time) for time in times])
     allowed = allowed_swing(PLAN, tube, times)

@@ -67,9 +67,9 @@ def make(name: str, *, robustness: bool) -> str:
 
 def _figures(found: Assessment) -> dict[str, float | None]:
     figures: dict[str, float | None] = {
-        "strand distance, m": _rounded(found.cable.distance),
-        "vehicle distance, m": _rounded(found.vehicle.distance),
-        "vehicle-cable distance, m": _rounded(found.vehicle_cable.distance),
+        "strand distance, m": _rounded(found.distances["cable"].distance),
+        "vehicle distance, m": _rounded(found.distances["vehicle"].distance),
+        "vehicle-cable distance, m": _rounded(found.distances["vehicle_cable"].distance),
         "e*, m": _rounded(found.robustness.tracking),
         "w*, m/s": _rounded(found.robustness.wind),
     }
