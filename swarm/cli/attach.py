@@ -23,10 +23,9 @@ from swarm.cli.inputs import JSON, print_json, refuse_option_conflicts
 from swarm.errors import InputError, Problem, Refused, VehicleError, reason
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.flight_process import MODULE
-from swarm.ground.operator import terminal_keys
-from swarm.ground.record_folder import control_socket
+from swarm.ground.operator import read_screen_line, terminal_keys
+from swarm.ground.record import control_socket
 from swarm.ground.record_reader import recorded_plan
-from swarm.ground.screen_lines import read_screen_line
 from swarm.reports.formatting import clock
 from swarm.reports.terminal import FlightScreen
 
@@ -74,7 +73,7 @@ def attach(
         connection,
         opened_console(folder, console, certificate, terminal),
         screen,
-        terminal_keys(sender) as poll_keys,
+        terminal_keys(sender.key) as poll_keys,
     ):
         for item in _watched(connection):
             if isinstance(item, Snapshot):
@@ -139,13 +138,12 @@ class _Sender:
     connection: socket.socket
     detached: bool = False
 
-    def key(self, key: str) -> str | None:
+    def key(self, key: str) -> None:
         """Send a key; the one that detaches stays here."""
         if key == _DETACH:
             self.detached = True
         else:
             self.line(f"key {key}")
-        return None
 
     def line(self, text: str) -> None:
         """Send a line; that the flight has ended is what reading reports."""

@@ -28,12 +28,12 @@ from swarm.flight.flight_plan import basis_of, require_tracking
 from swarm.flight.hop import hop
 from swarm.flight.parameters import ParameterResult
 from swarm.front.files import load_fleet
-from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.commissioning.check import CheckOptions
 from swarm.ground.commissioning.check import check as check_fleet
-from swarm.ground.commissioning.logs import download_logs
+from swarm.ground.commissioning.survey import download_logs
+from swarm.ground.fly import FlightCallbacks
 from swarm.ground.hop import HopResult, fly_hop, hop_question
-from swarm.ground.record_folder import new_check_folder
+from swarm.ground.record import new_check_folder
 from swarm.ground.world_clock import require_clock
 from swarm.mission.fleet import Fleet, emulated_fleet, with_tracking
 from swarm.mission.sections import LARGEST_TRACKING

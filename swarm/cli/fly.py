@@ -41,12 +41,10 @@ from swarm.flight.result import FlightResult
 from swarm.flight.resuming import Then, left_off
 from swarm.flight.setup import LOOSE_ERROR
 from swarm.front.files import load_fleet
-from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.flight_process import FlightRequest, fly_in_process
-from swarm.ground.fly import FlyOptions
-from swarm.ground.forward import parse_forward
+from swarm.ground.fly import FlightCallbacks, FlyOptions, Unattended
 from swarm.ground.mocap import parse_url
-from swarm.ground.record_folder import control_socket, new_record_folder
+from swarm.ground.record import control_socket, new_record_folder
 from swarm.ground.record_reader import (
     recorded_certificate,
     recorded_fleet,
@@ -54,7 +52,7 @@ from swarm.ground.record_reader import (
     recorded_log,
     recorded_plan,
 )
-from swarm.ground.tick_tasks import Unattended
+from swarm.ground.relay import parse_forward
 from swarm.ground.world_clock import require_clock
 from swarm.mavlink.frames import AutopilotName
 from swarm.mission import Mission

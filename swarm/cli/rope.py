@@ -21,8 +21,7 @@ from swarm.cli.inputs import (
 from swarm.cli.planning import load_source, plan_paper_trajectory
 from swarm.errors import SwarmError
 from swarm.files import write_text
-from swarm.ground.record_reader import recorded_flight, recorded_plan
-from swarm.ground.truth_reader import true_trace
+from swarm.ground.record_reader import recorded_flight, recorded_plan, true_trace
 from swarm.reports.plots import save
 from swarm.reports.rope_plots import rope_figure
 from swarm.reports.rope_report import rope_report

@@ -9,9 +9,8 @@ from rich.console import Console
 from swarm.cli.inputs import JSON, OUTPUT, print_json
 from swarm.errors import Refused
 from swarm.front.plans import load_plan
-from swarm.ground.observations import parse_observation
 from swarm.ground.record_reader import recorded_plan
-from swarm.ground.record_verification import verify_record
+from swarm.ground.record_verification import parse_observation, verify_record
 from swarm.planning import digest
 from swarm.reports.flight_json import record_object
 from swarm.reports.record_text import print_record

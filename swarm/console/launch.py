@@ -19,7 +19,7 @@ from swarm.child_modules import module_command
 from swarm.console.certificate import fingerprint, read_certificate, self_signed
 from swarm.errors import InputError, Problem, reason
 from swarm.ground.priority import lower_priority
-from swarm.ground.record_folder import control_socket
+from swarm.ground.record import control_socket
 
 DEFAULT: Final = "127.0.0.1:8765"
 MODULE: Final = "swarm.console.server"

@@ -33,9 +33,9 @@ from swarm.console.facts import Rates, event_facts, plan_facts, state_facts
 from swarm.console.session import LARGEST_MESSAGE, Close, Output, Send, Session
 from swarm.errors import SwarmError
 from swarm.flight.snapshot import Event, Snapshot
+from swarm.ground.operator import read_screen_line
 from swarm.ground.priority import lower_priority
 from swarm.ground.record_reader import recorded_fleet, recorded_plan
-from swarm.ground.screen_lines import read_screen_line
 from swarm.planning import Plan
 
 INTERVAL: Final = 0.1

@@ -14,9 +14,10 @@ import subprocess
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import FrameType
@@ -27,12 +28,10 @@ from swarm.errors import Interrupted, SwarmError, VehicleError
 from swarm.flight.clearance import Audit
 from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.result import FlightResult
-from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.child_process import exit_reason
-from swarm.ground.fly import FlyOptions, fly
-from swarm.ground.operator import terminal_keys
+from swarm.ground.fly import Caller, FlightCallbacks, FlyOptions, fly
+from swarm.ground.operator import signal_handlers, terminal_keys
 from swarm.ground.priority import lowered_priority, raise_priority, run_behind_main_thread
-from swarm.ground.tick_tasks import Caller
 from swarm.mission.fleet import Fleet
 
 _POLL = 0.05
@@ -86,8 +85,8 @@ def fly_in_process(
         try:
             with suppress(OSError):
                 pipe.send(request)
-            context.enter_context(_forwarded_signals(pipe, confirming))
-            keys = _Keys(context, _KeySender(pipe), enabled=read_keys)
+            _forward_signals(context, pipe, confirming)
+            keys = _Keys(context, pipe, enabled=read_keys)
             if not request.confirm:
                 keys.start()
             kind, content = _serve(pipe, callbacks or FlightCallbacks(), keys, confirming)
@@ -203,23 +202,11 @@ class _Inbox:
 
 
 @dataclass
-class _KeySender:
-    """Sends keys to the console in the flight process."""
-
-    pipe: Connection
-
-    def key(self, key: str) -> str | None:
-        """Send a key."""
-        _send(self.pipe, "key", key)
-        return None
-
-
-@dataclass
 class _Keys:
     """Keys of this terminal, read from :meth:`start` on and until the context ends."""
 
     context: ExitStack
-    sender: _KeySender
+    pipe: Connection
     enabled: bool
     poll: Callable[[], None] = lambda: None
 
@@ -227,15 +214,12 @@ class _Keys:
         """Begin to read keys; what was typed before is dropped."""
         if self.enabled:
             self.enabled = False
-            self.poll = self.context.enter_context(terminal_keys(self.sender))
+            sender = partial(_send, self.pipe, "key")
+            self.poll = self.context.enter_context(terminal_keys(sender))
 
 
-@contextmanager
-def _forwarded_signals(pipe: Connection, confirming: threading.Event) -> Iterator[None]:
-    """Forward signals to the flight, if this is the main thread; they also cancel a question."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
+def _forward_signals(context: ExitStack, pipe: Connection, confirming: threading.Event) -> None:
+    """Forward signals to the flight while the context lasts; they also cancel a question."""
 
     def catch(number: int, _frame: FrameType | None) -> None:
         _send(pipe, "signal", number)
@@ -246,14 +230,9 @@ def _forwarded_signals(pipe: Connection, confirming: threading.Event) -> Iterato
         # Its terminal is gone: whatever this process writes now fails. The flight goes on.
         os._exit(Interrupted.exit_code)
 
-    before = {number: signal.signal(number, catch) for number in (signal.SIGINT, signal.SIGTERM)}
+    context.enter_context(signal_handlers((signal.SIGINT, signal.SIGTERM), catch))
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
-        before[signal.SIGHUP] = signal.signal(signal.SIGHUP, leave)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        context.enter_context(signal_handlers((signal.SIGHUP,), leave))
 
 
 class _FlightServer:

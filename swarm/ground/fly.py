@@ -1,34 +1,48 @@
-"""One flight on real links, from the first heartbeat to the closed record."""
+"""One flight on real links, from the first heartbeat to the closed record.
 
+Before the go, vehicles are audited and a person confirms: both block, so they run in a thread
+beside the flight loop. So do the callbacks, which cannot delay it. After every tick come requests,
+events, snapshots and the go.
+"""
+
+import queue
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from swarm import precompile
-from swarm.errors import InputError, Problem, Refused
+from swarm.errors import InputError, Problem, Refused, SwarmError
 from swarm.flight.adherence import adherence
+from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
+from swarm.flight.fleet_listener import position_quality
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan, require_tracking
-from swarm.flight.parameters import plan_requirements, required_values
+from swarm.flight.operator import Request
+from swarm.flight.parameters import (
+    plan_requirements,
+    required_values,
+    stream_loss_findings,
+    stream_loss_model,
+)
 from swarm.flight.result import FlightResult
 from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.setup import Options
-from swarm.flight.snapshot import Event
+from swarm.flight.snapshot import Event, Snapshot
+from swarm.flight.tlog import ClockEncoder
 from swarm.flight.trace import Trace
 from swarm.flight.world import emulated_world
-from swarm.ground.callbacks import FlightCallbacks, publisher
+from swarm.ground.commissioning.check import Auditor, save_parameters, wanted_fence
 from swarm.ground.corrections import open_corrections
 from swarm.ground.emulator import EmulatorProcess, RealFirmware
-from swarm.ground.forward import open_forward
 from swarm.ground.loop import Feed, Loop
 from swarm.ground.mocap import ANYWHERE, DatagramCapture, MocapBridge, open_capture
 from swarm.ground.operator import (
@@ -36,19 +50,287 @@ from swarm.ground.operator import (
     TERMINAL,
     ControlSocket,
     OperatorConsole,
-    terminal_keys,
+    signal_handlers,
 )
-from swarm.ground.preflight import Preflight
+from swarm.ground.priority import run_behind_main_thread
 from swarm.ground.record import Record
 from swarm.ground.record_reader import recorded_flight
-from swarm.ground.relay import Relay
+from swarm.ground.relay import Relay, open_forward
 from swarm.ground.signing_key import signing_with
 from swarm.ground.sockets import Links, open_links
-from swarm.ground.tick_tasks import Caller, TickTasks, Unattended
 from swarm.ground.world_clock import WorldClock, open_clock
 from swarm.jit import sealed
 from swarm.mavlink.frames import Origin
 from swarm.mission.fleet import Fleet
+
+_MAX_QUEUED = 200
+
+
+@dataclass(frozen=True)
+class FlightCallbacks:
+    """Functions that a flight calls, each in a thread of its own or of the caller.
+
+    - ``confirm``: called once the team has been audited on the ground; False refuses the flight.
+      Without it an audit without errors is enough.
+    - ``on_snapshot``: called about ten times a second.
+    - ``on_event``: called for every event.
+    - ``on_emulator``: called with the process id of the emulator.
+
+    Snapshots and events that the callbacks are too slow for are dropped.
+    """
+
+    confirm: Callable[[Audit], bool] | None = None
+    on_snapshot: Callable[[Snapshot], None] | None = None
+    on_event: Callable[[Event], None] | None = None
+    on_emulator: Callable[[int], None] | None = None
+
+
+@contextmanager
+def publisher(callbacks: FlightCallbacks) -> Iterator[Callable[[Snapshot | Event], None]]:
+    """Yield a function that passes snapshots and events to the callbacks, in a thread."""
+    on_snapshot, on_event = callbacks.on_snapshot, callbacks.on_event
+    waiting: queue.Queue[Any] = queue.Queue(_MAX_QUEUED)
+
+    def publish(item: Snapshot | Event) -> None:
+        callback = on_event if isinstance(item, Event) else on_snapshot
+        if callback is not None:
+            with suppress(queue.Full):
+                waiting.put_nowait(item)
+
+    def work() -> None:
+        run_behind_main_thread()
+        while (item := waiting.get()) is not None:
+            if isinstance(item, Event):
+                if on_event is not None:
+                    on_event(item)
+            elif on_snapshot is not None:
+                on_snapshot(item)
+
+    worker = threading.Thread(target=work, name="callbacks", daemon=True)
+    worker.start()
+    try:
+        yield publish
+    finally:
+        with suppress(queue.Full):
+            waiting.put(None, timeout=1.0)
+        worker.join(2.0)
+
+
+@dataclass
+class Preflight:
+    """Audits the vehicles and obtains the confirmation.
+
+    Without a ``relay`` the vehicles are not audited; without ``confirm`` an audit without errors
+    is enough. Parameters are saved in ``folder``.
+    """
+
+    conductor: Conductor
+    folder: Path
+    confirm: Callable[[Audit], bool] | None = None
+    relay: Relay | None = None
+    started: bool = False
+    _decision: "queue.SimpleQueue[Audit | str]" = field(default_factory=queue.SimpleQueue)
+
+    def start(self, audit: Audit) -> None:
+        """Start with the audit of the flight's preparation; at once if nothing blocks."""
+        self.started = True
+        if self.confirm is None and self.relay is None:
+            self._run(audit)
+        else:
+            threading.Thread(target=self._run, args=(audit,), name="audit", daemon=True).start()
+
+    def decision(self) -> Audit | str | None:
+        """Return the audit to fly with, the reason for a refusal, or None while undecided."""
+        with suppress(queue.Empty):
+            return self._decision.get_nowait()
+        return None
+
+    def _run(self, audit: Audit) -> None:
+        try:
+            if self.relay is not None:
+                audit = self._audit_vehicles(audit, self.relay)
+            confirmed = not audit.passed or self.confirm is None or self.confirm(audit)
+            self._decision.put(audit if confirmed else "not confirmed")
+        except SwarmError as error:
+            self._decision.put(str(error))
+        except BaseException:
+            self._decision.put("the question before the flight failed")
+            raise
+
+    def _audit_vehicles(self, audit: Audit, relay: Relay) -> Audit:
+        """Return the audit with the findings on firmware, health, battery and parameters."""
+        flyers = self.conductor.flyers
+        names = {v.system: v.autopilot.name for v in flyers if v.autopilot is not None}
+        plan, fleet = self.conductor.plan, self.conductor.fleet
+        audits = Auditor(relay, names, plan_requirements(plan, fleet)).audit()
+        with suppress(OSError):
+            save_parameters(self.folder, audits)
+        values = {vehicle.system: vehicle.parameters for vehicle in audits}
+        flown = [(names[v.system], values[v.system]) for v in flyers if v.system in names]
+        loss, loss_findings = stream_loss_findings(plan, stream_loss_model(flown, fleet.limits))
+        duration = plan.flight_duration + loss.delay
+        battery = 100.0 * duration / plan.mission.vehicles.endurance
+        found = [finding for vehicle in audits for finding in vehicle.findings(battery)]
+        if fleet.frame == "gps":
+            tracking = plan.mission.vehicles.tracking
+            found += [position_quality(f"system {v.system}", v, fleet, tracking) for v in flyers]
+        wanted = wanted_fence(plan, flyers, fleet)
+        if wanted is not None:
+            found += [vehicle.fence_finding(wanted) for vehicle in audits]
+        findings = (*audit.findings, *found, *loss_findings)
+        return replace(audit, findings=findings, stream_loss=loss)
+
+
+SNAPSHOT_INTERVAL = 0.1
+
+Unattended = Literal["hold", "land", "fly-on"]
+"""What the team does when the last screen of its flight is gone."""
+
+_ABSENCE: Mapping[Unattended, str] = {
+    "hold": "the last screen is gone: the team holds, and lands after the hold timeout",
+    "land": "the last screen is gone: the team lands",
+    "fly-on": "the last screen is gone: the flight goes on",
+}
+
+
+_INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
+
+
+@dataclass(frozen=True)
+class Caller:
+    """The process that began the flight, its first screen: its keys and interrupts.
+
+    ``gone`` is set when it has ended, or has lost its terminal.
+    """
+
+    keys: "queue.SimpleQueue[str]" = field(default_factory=queue.SimpleQueue)
+    interrupts: list[int] = field(default_factory=list)
+    gone: threading.Event = field(default_factory=threading.Event)
+
+    def interrupt(self, number: int, _frame: FrameType | None) -> None:
+        """Note a signal; it is handled after the next tick."""
+        self.interrupts.append(number)
+
+    def pass_keys(self, console: OperatorConsole) -> None:
+        """Pass the keys that have arrived to a console."""
+        with suppress(queue.Empty):
+            while True:
+                console.key(self.keys.get_nowait())
+
+
+@dataclass
+class TickTasks:
+    """Passes requests to the conductor, and its events and snapshots to record and callbacks.
+
+    The caller's keys go to ``console``; ``control`` is polled for requests too. When the last
+    screen of the flight is gone, the team holds, lands or flies on, as ``unattended`` says.
+    ``events`` are all events so far. What ``feeds`` miss is reported.
+    """
+
+    conductor: Conductor
+    record: Record
+    preflight: Preflight
+    publish: Callable[[Snapshot | Event], None]
+    caller: Caller
+    console: OperatorConsole | None = None
+    emulator: EmulatorProcess | None = None
+    events: list[Event] = field(default_factory=list)
+    feeds: Sequence[Feed] = ()
+    control: ControlSocket | None = None
+    unattended: Unattended = "hold"
+    _alone: bool = False
+    _due: bool = False
+    _next_snapshot: float = 0.0
+    _disk_reported: bool = False
+    _phase: str = ""
+
+    def __post_init__(self) -> None:
+        self._clock = ClockEncoder(self.conductor.plan)
+
+    def run(self, now: float) -> None:
+        """Do the work after the tick at ``now``."""
+        conductor = self.conductor
+        while self.caller.interrupts:
+            self.caller.interrupts.pop()
+            conductor.request("interrupt", TERMINAL)
+        if self.console is not None:
+            self.caller.pass_keys(self.console)
+        if self.control is not None:
+            self.control.poll()
+        self._respond_to_absence()
+        if conductor.stage == "ready" and conductor.audit is not None:
+            self._decide(conductor.audit)
+        for event in conductor.events():
+            self.events.append(event)
+            self.record.event(event)
+            self._show(event)
+        if now >= self._next_snapshot:
+            self._next_snapshot = now + SNAPSHOT_INTERVAL
+            self._snapshot(now)
+
+    def _respond_to_absence(self) -> None:
+        """Report that the last screen is gone, or that one is back; hold or land once possible."""
+        conductor, control = self.conductor, self.control
+        watched = control is not None and control.watched
+        alone = self.caller.gone.is_set() and not watched
+        if alone != self._alone:
+            self._alone = alone
+            self._due = alone and self.unattended != "fly-on"
+            words = _ABSENCE[self.unattended] if alone else "a screen is attached again"
+            conductor.report("screens", words)
+        if not self._due:
+            return
+        on_ground = conductor.stage in {"prepare", "ready"}
+        command: Request = (
+            "interrupt" if on_ground else "land" if self.unattended == "land" else "hold"
+        )
+        if conductor.available()[command].open:
+            self._due = False
+            conductor.request(command, "the absence of screens")
+
+    def _show(self, item: Snapshot | Event) -> None:
+        self.publish(item)
+        if self.control is not None:
+            self.control.publish(item)
+
+    def _snapshot(self, now: float) -> None:
+        conductor, record = self.conductor, self.record
+        self._show(conductor.snapshot(now))
+        if record.problem is not None and not self._disk_reported:
+            self._disk_reported = True
+            text = f"the record cannot be written: {record.problem}; the flight goes on"
+            conductor.report("record", text)
+        phase = conductor.phase.name if conductor.stage == "execute" else ""
+        if (entered := phase or conductor.stage) != self._phase:
+            self._phase = entered
+            conductor.report("phase", entered)
+        for feed in self.feeds:
+            if (change := feed.change(now)) is not None:
+                conductor.report(*change)
+        if conductor.stage in {"ready", "execute", "contingency"}:
+            record.packet(self._clock.encode(now, conductor.clock.time, phase), now)
+        if conductor.stage == "prepare" and self.emulator is not None:
+            ended = self.emulator.ended()
+            if ended is not None:
+                conductor.give_up(ended)
+
+    def _decide(self, audit: Audit) -> None:
+        """Start the preflight once; start or refuse the flight when it has decided."""
+        preflight, conductor = self.preflight, self.conductor
+        if not preflight.started:
+            preflight.start(audit)
+        decision = preflight.decision()
+        if decision is None:
+            return
+        if preflight.relay is not None:
+            preflight.relay.closed = True
+        if isinstance(decision, str):
+            conductor.refuse(decision)
+            return
+        try:
+            conductor.start(go(conductor.flight_plan, decision))
+        except Refused as error:
+            conductor.refuse(str(error))
 
 
 @dataclass(frozen=True)
@@ -100,15 +382,14 @@ def fly(
     options: FlyOptions | None = None,
     callbacks: FlightCallbacks | None = None,
     *,
-    read_keys: bool = False,
     caller: Caller | None = None,
 ) -> FlightResult:
     """Fly a checked plan; return the result, with the record in ``folder``.
 
-    ``read_keys`` reads single keys from the terminal; ``caller`` is the process that began the
-    flight, if another one. The first interrupt holds and lands the team, the second lands it at
-    once. The caller, and clients that watch the control socket, are the screens of the flight;
-    without a screen, ``options.unattended`` says what the team does.
+    ``caller`` is the process that began the flight, if another one. The first interrupt holds and
+    lands the team, the second lands it at once. The caller, and clients that watch the control
+    socket, are the screens of the flight; without a screen, ``options.unattended`` says what the
+    team does.
 
     Raises :class:`swarm.errors.VehicleError` for a link that cannot be opened, and
     :class:`swarm.errors.InputError` for a record that cannot be written.
@@ -123,13 +404,13 @@ def fly(
         conductor.team.signing = resources.enter_context(signing_with(fleet.signing_key))
         record = Record(folder, time.time())
         resources.callback(record.close)
-        bridge, feeds = resources.enter_context(_open_feeds(conductor, options))
+        bridge, feeds = _open_feeds(conductor, options, resources)
         emulator = _start_emulator(flight_plan, fleet, links, folder, options, bridge)
         if emulator is not None:
             resources.callback(emulator.stop)
         # flight time begins once the emulator sends packets, which takes a while
         record.start_time = time.time()
-        clock = resources.enter_context(_followed_clock(emulator, options))
+        clock = _followed_clock(emulator, options, resources)
         started = clock.now() if clock is not None else None
         record.before(flight_plan, conductor.basis, fleet, _facts(options, record, started))
         if options.left is not None:
@@ -147,21 +428,19 @@ def fly(
         preflight = Preflight(conductor, folder, callbacks.confirm)
         with ExitStack() as running:
             running.enter_context(sealed())
-            control = running.enter_context(
-                _open_control(options.control, partial(console, CLIENT))
-            )
+            control = None
+            if options.control is not None:
+                control = ControlSocket(options.control, partial(console, CLIENT))
+                running.callback(control.close)
             publish = running.enter_context(publisher(callbacks))
-            running.enter_context(_caught_interrupts(caller.interrupts))
-            inputs = [caller.key_reader(console())]
-            if read_keys:
-                inputs.append(running.enter_context(terminal_keys(console())))
+            running.enter_context(signal_handlers(_INTERRUPTS, caller.interrupt))
             real = fleet.emulated is None or options.firmware is not None
             audit = options.audit if options.audit is not None else real
             if audit and options.left is None:
                 preflight.relay = Relay(conductor.team)
                 running.callback(preflight.relay.close)
             tasks = TickTasks(
-                conductor, record, preflight, publish, caller, emulator, inputs, feeds=feeds,
+                conductor, record, preflight, publish, caller, console(), emulator, feeds=feeds,
                 control=control, unattended=options.unattended,
             )  # fmt: skip
             forward = open_forward(options.forward, conductor.team) if options.forward else None
@@ -197,24 +476,6 @@ def _conductor(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions) -> Co
     return conductor
 
 
-@contextmanager
-def _followed_clock(
-    emulator: EmulatorProcess | None, options: FlyOptions
-) -> Iterator[WorldClock | None]:
-    """Open the clock of the world that the flight follows; None: the wall clock."""
-    if emulator is not None:
-        yield emulator.clock
-        return
-    if options.world_clock is None:
-        yield None
-        return
-    clock = open_clock(options.world_clock)
-    try:
-        yield clock
-    finally:
-        clock.close()
-
-
 def _facts(options: FlyOptions, record: Record, started: float | None) -> dict[str, Any]:
     """Return what a record says about its flight; ``started`` on the clock of its world."""
     return {
@@ -225,48 +486,41 @@ def _facts(options: FlyOptions, record: Record, started: float | None) -> dict[s
     }
 
 
-@contextmanager
-def _open_control(
-    path: Path | None, console: Callable[[], OperatorConsole]
-) -> Iterator[ControlSocket | None]:
-    """Open the control socket of the flight, if it has one."""
-    if path is None:
-        yield None
-        return
-    control = ControlSocket(path, console)
-    try:
-        yield control
-    finally:
-        control.close()
+def _followed_clock(
+    emulator: EmulatorProcess | None, options: FlyOptions, resources: ExitStack
+) -> WorldClock | None:
+    """Return the clock of the world that the flight follows; None: the wall clock."""
+    if emulator is not None:
+        return emulator.clock
+    if options.world_clock is None:
+        return None
+    clock = open_clock(options.world_clock)
+    resources.callback(clock.close)
+    return clock
 
 
-@contextmanager
 def _open_feeds(
-    conductor: Conductor, options: FlyOptions
-) -> Iterator[tuple[MocapBridge | None, list[Feed]]]:
+    conductor: Conductor, options: FlyOptions, resources: ExitStack
+) -> tuple[MocapBridge | None, list[Feed]]:
     """Open what the vehicles get from other systems; the first value is the one of poses."""
-    with (
-        _open_bridge(conductor, options) as bridge,
-        open_corrections(options.rtcm, conductor.fleet, conductor.team) as corrections,
-    ):
-        yield bridge, [feed for feed in (bridge, corrections) if feed is not None]
+    bridge = _open_bridge(conductor, options)
+    if bridge is not None:
+        resources.callback(bridge.capture.close)
+    corrections = resources.enter_context(
+        open_corrections(options.rtcm, conductor.fleet, conductor.team)
+    )
+    return bridge, [feed for feed in (bridge, corrections) if feed is not None]
 
 
-@contextmanager
-def _open_bridge(conductor: Conductor, options: FlyOptions) -> Iterator[MocapBridge | None]:
+def _open_bridge(conductor: Conductor, options: FlyOptions) -> MocapBridge | None:
     """Open the bridge from motion capture; that of the emulator sends to a free port."""
-    emulated = options.firmware is not None and options.positioning == "mocap"
-    if options.mocap is None and not emulated:
-        yield None
-        return
+    if options.mocap is None and not (options.firmware and options.positioning == "mocap"):
+        return None
     url = options.mocap
     capture = DatagramCapture("127.0.0.1", 0) if url is None else open_capture(url)
     place = conductor.fleet.origin
     origin = Origin(place.latitude, place.longitude, place.altitude or 0.0) if place else ANYWHERE
-    try:
-        yield MocapBridge(capture, conductor.team, origin)
-    finally:
-        capture.close()
+    return MocapBridge(capture, conductor.team, origin)
 
 
 def _start_emulator(
@@ -340,21 +594,3 @@ def _flown_trace(conductor: Conductor, record: Record) -> Trace:
     latest = np.searchsorted(kept.time, time, "right") - 1
     stray = np.where(latest[:, None] >= 0, kept.stray[latest], np.nan)
     return replace(log.trace, time=time, stray=stray)
-
-
-@contextmanager
-def _caught_interrupts(caught: list[int]) -> Iterator[None]:
-    """Collect SIGINT and SIGTERM in a list instead of ending, if this is the main thread."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def catch(number: int, _frame: FrameType | None) -> None:
-        caught.append(number)
-
-    before = {number: signal.signal(number, catch) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

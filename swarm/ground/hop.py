@@ -15,8 +15,7 @@ from swarm.flight.hop import (
     hovers,
     tracking_to_plan_with,
 )
-from swarm.ground.callbacks import FlightCallbacks
-from swarm.ground.fly import FlyOptions, fly
+from swarm.ground.fly import FlightCallbacks, FlyOptions, fly
 from swarm.mission.fleet import Fleet
 
 

@@ -13,9 +13,8 @@ from typing import Protocol
 import numpy as np
 
 from swarm.flight.router import Address, Outgoing
-from swarm.ground.forward import Forward
 from swarm.ground.record import Record
-from swarm.ground.relay import Relay
+from swarm.ground.relay import Forward, Relay
 from swarm.ground.sockets import Links
 from swarm.ground.world_clock import SHORTEST_WAIT, WorldClock
 from swarm.mission.fleet import Fleet

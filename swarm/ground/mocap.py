@@ -12,7 +12,7 @@ import math
 import socket
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 from pymavlink.dialects.v20 import common
@@ -48,20 +48,6 @@ class Pose(NamedTuple):
     time: float
     position: tuple[float, float, float]
     attitude: tuple[float, float, float, float]
-
-
-class Capture(Protocol):
-    """A motion capture system."""
-
-    @property
-    def port(self) -> int | None:
-        """The UDP port on which its frames are received, if it is one of ours."""
-
-    def latest(self) -> Iterable[Pose]:
-        """Return the newest pose of every body that was seen since the last call."""
-
-    def close(self) -> None:
-        """Stop reading."""
 
 
 class DatagramCapture:
@@ -163,6 +149,10 @@ class LaboratoryCapture:
     def close(self) -> None:
         """End the process."""
         self._child.close()
+
+
+Capture = DatagramCapture | LaboratoryCapture
+"""A motion capture system; ``port`` is the UDP port of its frames, None if it is not ours."""
 
 
 def parse_url(url: str) -> tuple[str, str, int]:

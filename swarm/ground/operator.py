@@ -14,24 +14,72 @@ what a screen gets, and counts as one if N is not 0: for the console, a process 
 flight on to any number of browsers, or none.
 """
 
+import json
 import os
 import secrets
 import select
+import signal
 import socket
 import sys
 import termios
+import threading
 import tty
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from types import FrameType
+from typing import Any, Protocol, get_origin, get_type_hints
 
+import numpy as np
+
+from swarm.certification.monitor import Clearances
 from swarm.errors import VehicleError, printable
 from swarm.flight.operator import REQUESTS, Request
 from swarm.flight.snapshot import Event, Snapshot
-from swarm.ground.screen_lines import screen_line
+
+_TUPLES = {name for name, hint in get_type_hints(Snapshot).items() if get_origin(hint) is tuple}
+
+
+def screen_line(item: Snapshot | Event) -> bytes:
+    """Return a snapshot or an event as a line of JSON; numbers may be NaN."""
+    kind = "event" if isinstance(item, Event) else "snapshot"
+    return json.dumps({kind: asdict(item)}, default=np.ndarray.tolist).encode() + b"\n"
+
+
+def read_screen_line(line: bytes) -> Snapshot | Event | str:
+    """Return what a line holds: a snapshot, an event, or the answer to a request.
+
+    Raises :class:`ValueError` for JSON that is neither snapshot nor event.
+    """
+    if not line.startswith(b"{"):
+        return line.decode("utf-8", "replace").strip()
+    try:
+        ((kind, content),) = json.loads(line).items()
+        return Event(**content) if kind == "event" else _snapshot(content)
+    except (TypeError, KeyError, AttributeError, ValueError) as error:
+        raise ValueError(f"expected a snapshot or an event: {error}") from None
+
+
+def _snapshot(content: dict[str, Any]) -> Snapshot:
+    """Return a snapshot with its arrays, tuples and distances, from the values of its fields."""
+    clearances = content.pop("clearances")
+    available = {name: tuple(answer) for name, answer in content.pop("available").items()}
+    values: dict[str, Any] = {
+        name: value
+        if not isinstance(value, list)
+        else tuple(value)
+        if name in _TUPLES
+        else np.array(value, dtype=np.float64)
+        for name, value in content.items()
+    }
+    return Snapshot(
+        clearances=None if clearances is None else Clearances(**clearances),
+        available=available,
+        **values,
+    )
+
 
 KEYS: Mapping[str, Request] = {
     " ": "hold",
@@ -70,13 +118,6 @@ class RequestHandler(Protocol):
 
     def report(self, kind: str, message: str) -> None:
         """Add an event to the record, which the operator sees."""
-
-
-class KeyHandler(Protocol):
-    """An object that handles keys: a console, in this process or another."""
-
-    def key(self, key: str) -> str | None:
-        """Handle one key."""
 
 
 class OperatorConsole:
@@ -296,8 +337,10 @@ class ControlSocket:
 
 
 @contextmanager
-def terminal_keys(handler: KeyHandler, stream: Any = None) -> Iterator[Callable[[], None]]:
-    """Read single keys from a terminal; yields a function to call once per tick.
+def terminal_keys(
+    on_key: Callable[[str], object], stream: Any = None
+) -> Iterator[Callable[[], None]]:
+    """Read single keys from a terminal for ``on_key``; yields a function to call once per tick.
 
     If ``stream`` (default: standard input) is not a terminal, nothing is read. Ctrl-C still raises
     SIGINT.
@@ -316,10 +359,26 @@ def terminal_keys(handler: KeyHandler, stream: Any = None) -> Iterator[Callable[
             if not typed:
                 return
             for key in typed.decode("ascii", "ignore"):
-                handler.key(key)
+                on_key(key)
 
     tty.setcbreak(number)
     try:
         yield poll
     finally:
         termios.tcsetattr(number, termios.TCSADRAIN, before)
+
+
+@contextmanager
+def signal_handlers(
+    numbers: Iterable[int], handler: Callable[[int, FrameType | None], None]
+) -> Iterator[None]:
+    """Handle signals in this context, if this is the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, handler) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, previous in before.items():
+            signal.signal(number, previous)

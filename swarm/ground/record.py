@@ -13,6 +13,7 @@ import threading
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
+from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,35 @@ from swarm.mavlink.packets import split_packets
 from swarm.mission.fleet import Fleet
 from swarm.planning.archive import plan_document, plan_motion
 from swarm.version import __version__
+
+LONGEST_SOCKET_PATH = 100
+"""Bytes; longer paths of sockets are refused by the operating system."""
+
+
+def new_record_folder(parent: Path, name: str) -> Path:
+    """Return an unused folder in ``parent``, named by the local time and ``name``."""
+    stem = f"{_timestamp()}-{name}".replace("/", "-")
+    for number in range(100):
+        folder = parent / (f"{stem}-{number}" if number else stem)
+        if not folder.exists():
+            return folder
+    raise InputError([Problem(str(parent), "expected a free name for the record")])
+
+
+def new_check_folder(parent: Path) -> Path:
+    """Return the folder of a check that starts now, named by the local time."""
+    return parent / _timestamp()
+
+
+def control_socket(folder: Path) -> Path | None:
+    """Return the path of the control socket; None if it is longer than a socket's path may be."""
+    path = folder / "control"
+    return path if len(os.fsencode(path)) < LONGEST_SOCKET_PATH else None
+
+
+def _timestamp() -> str:
+    return f"{datetime.now().astimezone():%Y-%m-%dT%H-%M-%S}"
+
 
 WRITE_INTERVAL = 0.25
 _BATCH, _PAUSE = 40, 0.001

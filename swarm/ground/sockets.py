@@ -9,7 +9,7 @@ import struct
 import termios
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import serial
 
@@ -29,28 +29,12 @@ _MAX_UNSENT_TIME = 0.1
 Received = tuple[str, Any, bytes]
 
 
-class Port(Protocol):
-    """One open link; ``dropped`` counts packets that were not sent because the buffer was full."""
-
-    name: str
-    dropped: int
-
-    def fileno(self) -> int:
-        """Return the file descriptor, for select()."""
-
-    def send(self, outgoing: Outgoing) -> None:
-        """Send without blocking; a packet that cannot be sent now is dropped and counted."""
-
-    def receive(self) -> Iterator[Received]:
-        """Yield link, address and bytes of received data, up to a bound."""
-
-    def close(self) -> None:
-        """Close the link."""
-
-
 @dataclass
 class Datagrams:
-    """A UDP socket; ``address`` is that of the only peer, or None."""
+    """A UDP socket; ``address`` is that of the only peer, or None.
+
+    ``dropped`` counts packets that were not sent because the buffer was full.
+    """
 
     name: str
     socket: socket.socket
@@ -148,6 +132,9 @@ class Stream:
     def close(self) -> None:
         """Close the connection."""
         self.device.close()
+
+
+Port = Datagrams | Stream
 
 
 @dataclass

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from swarm.exports import finding_object
-from swarm.ground.commissioning.audit import VehicleAudit
-from swarm.ground.commissioning.check import CheckReport
+from swarm.ground.commissioning.check import CheckReport, VehicleAudit
 from swarm.ground.hop import HopResult
 
 

@@ -9,7 +9,7 @@ from rich.text import Text
 from swarm.flight.parameters import ParameterResult
 from swarm.flight.words import in_common, numbers, of_systems
 from swarm.ground.commissioning.check import CheckReport
-from swarm.ground.commissioning.logs import LogDownload
+from swarm.ground.commissioning.survey import LogDownload
 
 STYLES = {"error": "bold red", "warning": "yellow", "info": "green"}
 

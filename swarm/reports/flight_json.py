@@ -10,7 +10,7 @@ from swarm.flight.adherence import adherence_object
 from swarm.flight.flown_swing import flown_swing, swing_object
 from swarm.flight.result import FlightResult
 from swarm.flight.tlog import Replayed
-from swarm.ground.commissioning.logs import LogDownload
+from swarm.ground.commissioning.survey import LogDownload
 from swarm.ground.record_verification import VerifiedRecord
 from swarm.planning import Plan
 from swarm.verification import Verification

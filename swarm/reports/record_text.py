@@ -6,8 +6,7 @@ from rich.console import Console
 from rich.table import Table
 
 from swarm.flight.tlog import Replayed
-from swarm.ground.observations import Observation
-from swarm.ground.record_verification import VerifiedRecord
+from swarm.ground.record_verification import Observation, VerifiedRecord
 from swarm.planning import Plan
 from swarm.reports.flight_text import print_adherence, print_verification
 from swarm.verification import TrackingStatistics

@@ -11,8 +11,7 @@ from pymavlink.dialects.v20 import common
 
 from swarm.errors import InputError, VehicleError
 from swarm.flight.fleet_listener import LinkQuality, radio_finding, radio_findings
-from swarm.ground.commissioning.audit import VehicleAudit, save_parameters
-from swarm.ground.commissioning.check import CheckOptions, check
+from swarm.ground.commissioning.check import CheckOptions, VehicleAudit, check, save_parameters
 from swarm.ground.fly import FlyOptions, fly
 from swarm.ground.sockets import Links
 from swarm.mavlink.fence import polygon

@@ -15,9 +15,8 @@ from contextlib import ExitStack
 import pytest
 
 from swarm.errors import InputError, VehicleError
-from swarm.ground.callbacks import FlightCallbacks
-from swarm.ground.flight_process import FlightRequest, _Keys, _KeySender, _serve, fly_in_process
-from swarm.ground.fly import FlyOptions
+from swarm.ground.flight_process import FlightRequest, _Keys, _serve, fly_in_process
+from swarm.ground.fly import FlightCallbacks, FlyOptions
 from swarm.ground.priority import helper_niceness
 from swarm.mission.fleet import emulated_fleet
 from tests.network import small_plan
@@ -138,7 +137,7 @@ def test_keys_are_read_from_the_confirmation_on(monkeypatch):
     process.start()
     with os.fdopen(slave, "rb", buffering=0) as terminal, ExitStack() as context:
         monkeypatch.setattr(sys, "stdin", terminal)
-        keys = _Keys(context, _KeySender(ours), enabled=True)
+        keys = _Keys(context, ours, enabled=True)
         callbacks = FlightCallbacks(confirm=confirm)
         assert _serve(ours, callbacks, keys, threading.Event()) == ("result", "the result")
     process.join(5.0)

@@ -7,8 +7,7 @@ import sys
 
 import pytest
 
-from swarm.ground.callbacks import FlightCallbacks
-from swarm.ground.fly import FlyOptions, fly
+from swarm.ground.fly import FlightCallbacks, FlyOptions, fly
 from swarm.mission.fleet import emulated_fleet
 from tests.network import small_plan
 

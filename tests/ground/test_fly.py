@@ -17,9 +17,8 @@ from pymavlink import mavutil
 from swarm.errors import InputError, VehicleError
 from swarm.flight.flown_swing import largest_stray
 from swarm.flight.world import emulated_world
-from swarm.ground.callbacks import FlightCallbacks
 from swarm.ground.emulator import EmulatorProcess, RealFirmware
-from swarm.ground.fly import FlyOptions, fly
+from swarm.ground.fly import FlightCallbacks, FlyOptions, fly
 from swarm.ground.record_reader import recorded_flight, recorded_plan
 from swarm.ground.record_verification import verify_record
 from swarm.ground.sockets import open_links

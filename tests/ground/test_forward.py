@@ -7,8 +7,7 @@ from pymavlink import mavutil
 
 from swarm.errors import VehicleError
 from swarm.flight.router import Team
-from swarm.ground.forward import open_forward, parse_forward
-from swarm.ground.relay import Relay
+from swarm.ground.relay import Relay, open_forward, parse_forward
 from swarm.mission.fleet import emulated_fleet
 from tests.command import run
 

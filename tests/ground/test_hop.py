@@ -10,7 +10,7 @@ from rich.console import Console
 
 from swarm.cli.check import _plan_finding, _write_measured
 from swarm.flight.hop import HOVER, hop
-from swarm.ground.callbacks import FlightCallbacks
+from swarm.ground.fly import FlightCallbacks
 from swarm.ground.hop import fly_hop
 from swarm.mission.fleet import emulated_fleet, parse_fleet
 from swarm.reports.check_json import hop_object

@@ -18,8 +18,8 @@ from pymavlink.dialects.v20 import common
 
 from swarm.cli.check import check
 from swarm.errors import Refused
-from swarm.ground.commissioning.logs import download_logs
 from swarm.ground.commissioning.mavsdk_child import LogDownloader
+from swarm.ground.commissioning.survey import download_logs
 from swarm.mission.fleet import Fleet, emulated_fleet
 
 OLD, NEW = 1_763_700_000, 1_763_730_000

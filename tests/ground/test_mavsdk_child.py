@@ -10,8 +10,8 @@ import pytest
 
 from swarm.errors import VehicleError
 from swarm.ground.commissioning.check import check
-from swarm.ground.commissioning.logs import download_logs
 from swarm.ground.commissioning.mavsdk_client import ATTEMPTS, vehicle_reports
+from swarm.ground.commissioning.survey import download_logs
 from swarm.ground.fly import FlyOptions, fly
 from swarm.mission.fleet import emulated_fleet
 from tests.children import children

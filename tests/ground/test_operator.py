@@ -13,8 +13,14 @@ import pytest
 from swarm.certification.monitor import Clearances
 from swarm.errors import VehicleError
 from swarm.flight.snapshot import Event, Snapshot
-from swarm.ground.operator import KEYS, KILL_KEY, ControlSocket, OperatorConsole, terminal_keys
-from swarm.ground.screen_lines import read_screen_line
+from swarm.ground.operator import (
+    KEYS,
+    KILL_KEY,
+    ControlSocket,
+    OperatorConsole,
+    read_screen_line,
+    terminal_keys,
+)
 
 SNAPSHOT = Snapshot(
     time=12.5, mission_time=11.0, rate=0.5, phase="fold", waiting_for=None,
@@ -291,16 +297,16 @@ def test_a_socket_that_cannot_be_created_is_named(console, tmp_path):
 def test_keys_are_read_from_a_terminal_only(flight, console):
     master, slave = pty.openpty()
     with os.fdopen(slave, "rb", buffering=0) as terminal:
-        with terminal_keys(console, terminal) as poll:
+        with terminal_keys(console.key, terminal) as poll:
             os.write(master, b" rq")
             while len(flight.requests) < 2:
                 poll()
         os.close(master)
     assert flight.requests == ["hold", "resume"]
     with (
-        terminal_keys(console, None) as poll,
+        terminal_keys(console.key, None) as poll,
         open(os.devnull, "rb") as file,
-        terminal_keys(console, file) as silent,
+        terminal_keys(console.key, file) as silent,
     ):
         poll()
         silent()

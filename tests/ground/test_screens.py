@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from swarm.ground.preflight import Preflight
+from swarm.ground.fly import Caller, Preflight, TickTasks
 from swarm.ground.record import Record
-from swarm.ground.tick_tasks import Caller, TickTasks
 from tests.network import Network, small_plan
 
 SWARM = Path(sys.executable).with_name("swarm")

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common
 from swarm.errors import VehicleError
 from swarm.flight.fleet_listener import FleetListener
 from swarm.flight.router import Outgoing
-from swarm.ground.forward import open_forward
+from swarm.ground.relay import open_forward
 from swarm.ground.sockets import open_links
 from swarm.mavlink.packets import Decoder, Encoder
 from swarm.mission.fleet import parse_fleet

@@ -8,7 +8,7 @@ import pytest
 from swarm.errors import InputError
 from swarm.flight.tlog import Replayed
 from swarm.flight.trace import Trace
-from swarm.ground.truth_reader import true_trace
+from swarm.ground.record_reader import true_trace
 from swarm.mavlink.frames import Frames
 
 START = 1_800_000_000.0

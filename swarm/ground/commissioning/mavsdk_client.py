@@ -40,13 +40,18 @@ class VehicleReport:
 
 
 @dataclass(frozen=True)
-class NewestLog:
-    """The result for one vehicle's newest log; ``path`` is None if there is a ``problem``."""
+class LogDownload:
+    """The result for the newest log of one vehicle.
 
+    ``path`` is the file, None if it was not downloaded; ``problem`` is then the reason. ``size`` in
+    bytes; ``date`` as the vehicle reports it, empty if the vehicle has no date.
+    """
+
+    system: int
     path: Path | None
-    size: int
-    date: str
-    problem: str
+    size: int = 0
+    date: str = ""
+    problem: str = ""
 
 
 def vehicle_reports(
@@ -91,14 +96,14 @@ def newest_logs(
     timeout: float,
     on_share: Callable[[int, float], None],
     cancelled: Callable[[], bool],
-) -> dict[int, NewestLog]:
+) -> dict[int, LogDownload]:
     """Download the newest log of each vehicle behind loopback ports into ``folder``.
 
     If the process fails for a vehicle in every attempt, this is the problem of its log, and the
     next vehicle follows. Ends early once ``cancelled`` returns True. Raises :class:`VehicleError`
     if vehicles are not found in three searches or ``folder`` cannot be written.
     """
-    found: dict[int, NewestLog] = {}
+    found: dict[int, LogDownload] = {}
     failures, searches = dict.fromkeys(ports, 0), 0
 
     def handle(message: tuple[Any, ...]) -> None:
@@ -106,7 +111,7 @@ def newest_logs(
         if kind == "share":
             on_share(system, *fields)
         else:
-            found[system] = NewestLog(*fields)
+            found[system] = LogDownload(system, *fields)
 
     while not cancelled() and (missing := [s for s in ports if s not in found]):
         remaining = {system: ports[system] for system in missing}
@@ -123,7 +128,7 @@ def newest_logs(
             failures[current] += 1
             if failures[current] == ATTEMPTS:
                 text = f"MAVSDK failed in {ATTEMPTS} attempts of {ATTEMPTS}: {error}"
-                found[current] = NewestLog(None, 0, "", text)
+                found[current] = LogDownload(current, None, problem=text)
         finally:
             for system in missing:
                 for part in folder.glob(f"{system}-*{suffixes[system]}.part"):
