@@ -36,7 +36,7 @@ from swarm.ground.hop import HopResult, fly_hop, hop_question
 from swarm.ground.record import new_check_folder
 from swarm.ground.world_clock import require_clock
 from swarm.mission.fleet import Fleet, emulated_fleet, with_tracking
-from swarm.mission.sections import LARGEST_TRACKING
+from swarm.mission.mission import LARGEST_TRACKING
 from swarm.mission.validation import LARGEST_FILE
 from swarm.reports.check_json import check_object
 from swarm.reports.check_text import logs_table, parameter_table, print_check

@@ -16,7 +16,7 @@ from swarm.certification.kinds import FIGURES
 from swarm.errors import InputError, Problem, shown
 from swarm.exports import clearance_object, finding_object
 from swarm.flight.flight_plan import Basis, Kind
-from swarm.mission.sections import LARGEST_TRACKING
+from swarm.mission.mission import LARGEST_TRACKING
 from swarm.planning.archive import READ_ERRORS
 
 

@@ -10,15 +10,15 @@ from swarm.files import read_text
 from swarm.knots.catalog import choose_knot
 from swarm.mission import Mission, mission_for_knot
 from swarm.mission.fleet import Fleet, parse_fleet
-from swarm.mission.sections import Knot
+from swarm.mission.mission import Knot
 from swarm.mission.validation import (
     LARGEST_FILE,
     apply_overrides,
+    key_lines,
     parse_yaml,
     place_of,
     validate,
 )
-from swarm.mission.yaml_lines import key_lines
 
 PLAN_SUFFIX = ".plan"
 _ARCHIVE = b"PK\x03\x04"

@@ -11,13 +11,11 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
-from swarm.mission.mission import Mission
-from swarm.mission.sections import LARGEST_TRACKING
+from swarm.mission.mission import LARGEST_TRACKING, Mission
 from swarm.mission.validation import (
     Section,
-    apply_overrides,
     number,
-    parse_yaml,
+    read_model,
     validate,
     with_values,
 )
@@ -293,9 +291,7 @@ def parse_fleet(text: str, source: str, overrides: Iterable[str] = ()) -> Fleet:
     ``source`` names the file in errors, ``overrides`` are ``key.path=value`` strings. Raises
     :class:`swarm.errors.InputError` with every problem at once.
     """
-    overrides = tuple(overrides)
-    document = apply_overrides(parse_yaml(text, source), overrides)
-    return validate(Fleet, document, source, text, overrides)
+    return read_model(Fleet, text, source, overrides)
 
 
 def with_tracking(text: str, tracking: float, signing_key: str | None = None) -> str:

@@ -1,30 +1,472 @@
 """The mission: which knot to tie, in which cable, with which vehicles and margins.
 
 Parses text to a frozen :class:`Mission`. Errors name the key path. This module opens no files.
+Codes of knots are lists, or text with brackets, commas and spaces. What cannot be read is returned
+unchanged; the validation of the key reports it.
 """
 
+import re
 from collections.abc import Iterable, Mapping
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, StringConstraints, model_validator
 
 from swarm.errors import InputError, Problem
-from swarm.mission.sections import (
-    Cable,
-    Clearance,
-    Fold,
-    Formation,
-    Knot,
-    Layout,
-    Limits,
-    Number,
-    Text,
-    Vehicles,
-    Wind,
-    Workspace,
-)
-from swarm.mission.validation import Section, apply_overrides, number, parse_yaml, validate
+from swarm.mission.validation import Section, apply_overrides, number, read_model, validate
 from swarm.notebook import table
+
+_INTEGER = re.compile(r"[-+]?\d+")
+_GROUP = re.compile(r"[\[({]([^\[\](){}]*)[\])}]")
+
+
+def dt_entries(code: Any) -> Any:
+    """Return the entries of a DT code: ``4 6 2``, ``DT:[(4,6,2)]``, ``DTCode[4, 6, 2]``."""
+    code = _unbraced(code)
+    if not isinstance(code, str):
+        return code
+    return _integers(re.sub(r"^\s*DT(Code)?\s*:?", "", code, flags=re.IGNORECASE), code)
+
+
+def pd_rows(code: Any) -> Any:
+    """Return the crossings of a PD code such as ``PD[X[1,5,2,4],X[3,1,4,6],X[5,3,6,2]]``."""
+    if not isinstance(code, str):
+        return code
+    return _groups(re.sub(r"PD|X_?", "", code, flags=re.IGNORECASE), 4, code)
+
+
+def grid_columns(code: Any) -> Any:
+    """Return the columns of a grid diagram such as ``[1,3] [2,4] [3,5] [1,4] [2,5]``."""
+    return _groups(code, 2, code) if isinstance(code, str) else code
+
+
+def gauss_text(code: Any) -> Any:
+    """Return the text of a Gauss code that is a list, as ``GaussCode[-1, 2, -3, 1, -2, 3]`` is."""
+    code = _unbraced(code)
+    if isinstance(code, str) and (found := re.fullmatch(r"\s*GaussCode\s*(\[.*\])\s*", code)):
+        code = _integers(found[1], code)
+    if not isinstance(code, list | tuple) or any(isinstance(one, list | bool) for one in code):
+        return code
+    return " ".join(str(one) for one in code)
+
+
+def _unbraced(code: Any) -> Any:
+    """Return the entries of ``{4, 6, 2}``, which YAML reads as a mapping without values."""
+    if isinstance(code, dict) and all(value is None for value in code.values()):
+        return list(code)
+    return code
+
+
+def _integers(text: str, code: str) -> Any:
+    """Return the integers of a text that has only integers, brackets, commas and spaces."""
+    bare = re.sub(r"[\[\](){},;\s]+", " ", text.replace("−", "-")).split()
+    if not bare or any(_INTEGER.fullmatch(each) is None for each in bare):
+        return code
+    return tuple(int(each) for each in bare)
+
+
+def _groups(text: str, size: int, code: str) -> Any:
+    """Return integers in groups: as the innermost brackets have them, or ``size`` at a time."""
+    inner = _GROUP.findall(text)
+    if len(inner) > 1:
+        rest = _GROUP.sub("", text)
+        groups = tuple(_integers(each, code) for each in inner)
+        return code if re.sub(r"[\[\](){},;\s]", "", rest) else groups
+    flat = _integers(text, code)
+    if flat == code or len(flat) % size:
+        return code
+    return tuple(flat[k : k + size] for k in range(0, len(flat), size))
+
+
+Auto = Literal["auto"]
+Number = Annotated[float, Field(strict=True)]
+_LARGEST_SIZE = 200.0
+"""Largest size of a knot's layout, in metres: the overhand has cells of 1.5 m."""
+
+LARGEST_TRACKING = 5.0
+"""Largest tracking error in metres that missions and fleets may have."""
+
+_FARTHEST = 10_000.0
+"""Largest coordinate in metres: farther away than an operator sees a vehicle."""
+
+Positive = Annotated[float, Field(strict=True, gt=0, le=_LARGEST_SIZE)]
+NotNegative = Annotated[float, Field(strict=True, ge=0, le=_LARGEST_SIZE)]
+Coordinate = Annotated[float, Field(strict=True, ge=-_FARTHEST, le=_FARTHEST)]
+Text = Annotated[str, StringConstraints(min_length=1, max_length=20_000)]
+Point2 = tuple[Coordinate, Coordinate]
+Point3 = tuple[Coordinate, Coordinate, Coordinate]
+DtCode = Annotated[
+    tuple[int, ...], BeforeValidator(dt_entries, json_schema_input_type=str | tuple[int, ...])
+]
+Fours = tuple[tuple[int, int, int, int], ...]
+PdCode = Annotated[Fours, BeforeValidator(pd_rows, json_schema_input_type=str | Fours)]
+Pairs = tuple[tuple[int, int], ...]
+GridCode = Annotated[Pairs, BeforeValidator(grid_columns, json_schema_input_type=str | Pairs)]
+GaussCode = Annotated[
+    Text,
+    BeforeValidator(gauss_text, json_schema_input_type=Text | tuple[int | str, ...]),
+]
+
+
+def _length(default: Any, sentence: str, **bounds: Any) -> Any:
+    return number(default, "metres", sentence, kind="a length", **(bounds or {"above": 0}))
+
+
+def _code(sentence: str, expected: str) -> Any:
+    """Declare a key that takes a code of a knot, as a list or as people write it."""
+    return Field(None, description=sentence, json_schema_extra={"expected": expected})
+
+
+class Knot(Section):
+    """The knot: exactly one of a name, a Gauss code, a DT code, a PD code or a grid diagram."""
+
+    name: Text | None = Field(
+        None,
+        description="Name of the knot: overhand, figure-eight, 8_18, torus(2,5), 3_1#m3_1.",
+    )
+    gauss: GaussCode | None = _code(
+        "Gauss code: + passes over, - passes under.", 'a Gauss code such as "1- 2+ 3- 1+ 2- 3+"'
+    )
+    dt: DtCode | None = _code("Dowker-Thistlethwaite code.", 'a DT code such as "4 6 2"')
+    pd: PdCode | None = _code(
+        "Planar diagram code: the four edges of each crossing.",
+        'a PD code such as "X[1,5,2,4] X[3,1,4,6] X[5,3,6,2]"',
+    )
+    grid: GridCode | None = _code(
+        "Grid diagram: the two rows of each column; columns pass over.",
+        'a grid diagram such as "[1,3] [2,4] [3,5] [1,4] [2,5]"',
+    )
+    chirality: Literal["left", "right", "either"] | None = Field(
+        None,
+        description="Mirror image to tie. Required where the knot is chiral and the code does "
+        "not determine it.",
+    )
+
+    @model_validator(mode="after")
+    def _one_description(self) -> Self:
+        given = [key for key in ("name", "gauss", "dt", "pd", "grid") if getattr(self, key)]
+        if len(given) != 1:
+            raise ValueError(
+                "expected exactly one of name, gauss, dt, pd or grid, got "
+                + (" and ".join(given) or "none")
+            )
+        return self
+
+
+class Cable(Section):
+    """The cable."""
+
+    mass_per_length: Number = number(
+        0.012, "kg/m", "Mass per length of the cable.", above=0, most=5.0
+    )
+    diameter: Number = _length(0.006, "Diameter of the cable.", above=0, most=0.1)
+    length_tolerance: Number = _length(
+        0.01, "Largest error of the length of each segment.", least=0, most=1.0
+    )
+    length: Number | None = _length(
+        None,
+        "Total length of the available cable; the layout is scaled to use it.",
+        above=0,
+        most=5_000.0,
+    )
+    breaking_load: Number = number(
+        200.0, "newtons", "Tension at which the cable breaks.", above=0, most=1e6
+    )
+
+
+_LARGEST_PAYLOAD = 5.0
+"""Largest payload in masses of the vehicle: of the multirotors on sale, heavy-lift vehicles carry
+most, about twice their own mass."""
+
+
+class Vehicles(Section):
+    """Number, properties and limits of the vehicles of the team."""
+
+    count: Annotated[int, Field(strict=True, ge=3, le=200)] | Literal["auto", "fewest"] = Field(
+        "auto",
+        description="Number of vehicles. auto: one for each corner of the grid diagram, 2N − 1; "
+        "fewest: the smallest number for which a motion is found; a number: that many, or refused.",
+        json_schema_extra={"expected": "auto, fewest or an integer >= 3 and <= 200"},
+    )
+
+    radius: Number = _length(
+        0.25, "Distance from the vehicle's axis to the tips of its rotors.", above=0, most=5.0
+    )
+    grip_offset: Number = _length(
+        0.6, "Height of the vehicle's centre above its grip point.", least=0, most=20.0
+    )
+    max_speed: Number = number(2.0, "m/s", "Largest planned speed.", above=0, most=100.0)
+    max_acceleration: Number = number(
+        2.0, "m/s²", "Largest planned acceleration.", above=0, most=100.0
+    )
+    braking_acceleration: Number = number(
+        1.0,
+        "m/s²",
+        "Part of the acceleration reserved for braking along the path.",
+        above=0,
+        most=100.0,
+    )
+    payload: Number = number(
+        0.4, "kg", "Largest mass that a vehicle can carry.", above=0, most=200.0
+    )
+    mass: Number = number(1.5, "kg", "Mass of a vehicle.", above=0, most=500.0)
+    tracking: Number = _length(
+        0.1,
+        "Largest tracking error: distance of a grip point from its setpoint.",
+        least=0,
+        most=LARGEST_TRACKING,
+    )
+    endurance: Number = number(
+        600.0, "s", "Flight time on one battery, with payload.", least=60.0, most=86_400.0
+    )
+    breakaway: Number | None = number(
+        None,
+        "newtons",
+        "Tension at which a tied-on cable releases (grab: attached).",
+        above=0,
+        most=1e5,
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        problems = []
+        if self.braking_acceleration >= self.max_acceleration:
+            problems.append(
+                "expected braking_acceleration below max_acceleration "
+                f"({self.max_acceleration:g} m/s²), got {self.braking_acceleration:g}"
+            )
+        if self.payload > _LARGEST_PAYLOAD * self.mass:
+            problems.append(
+                f"expected payload of at most {_LARGEST_PAYLOAD:g} times mass ({self.mass:g} kg), "
+                f"got {self.payload:g}: did you mean {1e-3 * self.payload:g}? For a larger vehicle "
+                f"give both, for example: vehicles: {{mass: {self.payload:g}, "
+                f"payload: {self.payload:g}}}"
+            )
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+
+class Layout(Section):
+    """Size and height of the knot in space: numbers, or ``auto`` for the planner's choice."""
+
+    cell: Positive | Auto = _length(
+        "auto", "Width of a cell of the grid.", above=0, most=_LARGEST_SIZE, auto=True
+    )
+    sag_over: Positive | Auto = _length(
+        "auto", "Sag of the segments that pass over.", above=0, most=_LARGEST_SIZE, auto=True
+    )
+    sag_under: Positive | Auto = _length(
+        "auto", "Sag of the segments that pass under.", above=0, most=_LARGEST_SIZE, auto=True
+    )
+    lane_over: NotNegative | Auto = _length(
+        "auto",
+        "Height of the over lanes above the knot's plane.",
+        least=0,
+        most=_LARGEST_SIZE,
+        auto=True,
+    )
+    lane_under: NotNegative | Auto = _length(
+        "auto",
+        "Depth of the under lanes below the knot's plane.",
+        least=0,
+        most=_LARGEST_SIZE,
+        auto=True,
+    )
+    chord_margin: NotNegative | Auto = _length(
+        "auto",
+        "How much farther apart than its corners the ends of a segment can be; auto: 2.2 tracking "
+        "errors. More lets a team fly faster: a vehicle without setpoints moves on until it stops.",
+        least=0,
+        most=10.0,
+        auto=True,
+    )
+    height: Positive | Auto = _length(
+        "auto",
+        "Height of the knot's plane above the floor.",
+        above=0,
+        most=_LARGEST_SIZE,
+        auto=True,
+    )
+    corners: tuple[Point2, ...] | None = Field(
+        None, description="Corners x, y in metres in order along the cable, instead of the grid's."
+    )
+    sags: tuple[Number, ...] | None = Field(
+        None, description="Sag of each segment in metres, together with `corners`."
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.sag_over != "auto" and self.chord_margin != "auto":
+            raise ValueError("expected no chord_margin together with sag_over, which decides it")
+        if self.sags is not None and self.corners is None:
+            raise ValueError("expected sags only together with corners")
+        if self.corners is not None:
+            unused = [
+                name
+                for name in ("sag_over", "sag_under", "lane_over", "lane_under", "chord_margin")
+                if getattr(self, name) != "auto"
+            ]
+            if unused:
+                raise ValueError(f"expected no {' and no '.join(unused)} together with corners")
+            if len(self.corners) < 3:
+                raise ValueError(f"expected at least 3 corners, got {len(self.corners)}")
+            if self.sags is None or len(self.sags) != len(self.corners) - 1:
+                got = "none" if self.sags is None else str(len(self.sags))
+                raise ValueError(f"expected {len(self.corners) - 1} sags, got {got}")
+            if any(sag <= 0 for sag in self.sags):
+                raise ValueError("expected every sag > 0 in metres")
+        return self
+
+
+class Clearance(Section):
+    """Clearances to keep for every tracking error up to `vehicles.tracking`."""
+
+    cable: Number = _length(
+        0.15, "Distance between strands, surface to surface.", above=0, most=10.0
+    )
+    vehicle: Number = _length(
+        1.0,
+        "Horizontal distance between vehicles, centre to centre; `vehicle` or `downwash` is kept.",
+        above=0,
+        most=50.0,
+    )
+    downwash: Number = _length(
+        1.5,
+        "Vertical distance between vehicles, centre to centre; `vehicle` or `downwash` is kept.",
+        above=0,
+        most=100.0,
+    )
+    vehicle_cable: Number = _length(
+        0.3,
+        "Distance between a vehicle and the segments that it does not hold.",
+        above=0,
+        most=50.0,
+    )
+    floor: Number = _length(
+        0.5, "Distance between the cable aloft and the floor.", least=0, most=100.0
+    )
+
+
+class Limits(Section):
+    """What a plan must keep to be flown, beside its certificate."""
+
+    accept_negative_budget: Annotated[bool, Field(strict=True)] = Field(
+        False,
+        description="true: plan without regard to the clearance budget, and fly a plan whose "
+        "strands can be closer than `clearance.cable` if all of its effects come together; false: "
+        "lead strands apart and slow down for it, and refuse such a plan.",
+        json_schema_extra={"expected": "true or false"},
+    )
+
+
+class Wind(Section):
+    """The wind that the flight must withstand."""
+
+    steady: Number = number(
+        0.0,
+        "m/s",
+        "Speed of the steady wind, from any direction.",
+        least=0,
+        most=40.0,
+        kind="a speed",
+    )
+    gust: Number = number(
+        0.0,
+        "m/s",
+        "Speed of gusts in addition to the steady wind.",
+        least=0,
+        most=60.0,
+        kind="a speed",
+    )
+
+
+class Workspace(Section):
+    """The space in which the team may fly."""
+
+    ceiling: Number = _length(
+        30.0, "Largest height of a vehicle above the floor.", above=0, most=5_000.0
+    )
+    fence: tuple[Point2, ...] | None = Field(
+        None, description="Corners x, y of the geofence in metres (x east, y north)."
+    )
+
+    @model_validator(mode="after")
+    def _polygon(self) -> Self:
+        if self.fence is not None and len(self.fence) < 3:
+            raise ValueError(f"expected a fence of at least 3 corners, got {len(self.fence)}")
+        return self
+
+
+class Fold(Section):
+    """How the team folds the knot."""
+
+    method: Literal["certified", "paper"] = Field(
+        "certified",
+        description="certified: this planner; paper: the published trajectory, for comparison.",
+    )
+    delay: Number | None = number(
+        None, "s", "Delay between neighbouring vehicles (method: paper).", above=0, most=600.0
+    )
+    swing: Annotated[float, Field(strict=True, gt=0, le=10.0)] | Auto = _length(
+        "auto",
+        "Largest distance of the swinging cable from its catenary in the planned fold, which is "
+        "shaped and slowed for it. In metres, the clearances hold around the catenary too, as far "
+        "as the cable swings in the planned motion and after one ordinary stop with the resume "
+        "that follows. auto: 0.95 % of the longest segment, 1 % with fewer vehicles than the grid "
+        "diagram has corners, at least 0.06 m, as far as slowing reaches that within the "
+        "endurance.",
+        above=0,
+        most=10.0,
+        auto=True,
+    )
+
+    @property
+    def certifies_swing(self) -> bool:
+        """Whether clearances are certified for a swinging cable: ``swing`` is in metres."""
+        return self.swing != "auto"
+
+    @model_validator(mode="after")
+    def _keys_of_the_method(self) -> Self:
+        if self.delay is not None and self.method != "paper":
+            raise ValueError(f"expected delay only with method: paper, got {self.method}")
+        if self.swing != "auto" and self.method == "paper":
+            raise ValueError("expected swing only with method: certified, got paper")
+        return self
+
+
+class Formation(Section):
+    """Formations of grip points to fly one after the other, instead of a knot."""
+
+    places: tuple[tuple[Point3, ...], ...] = Field(
+        description="Formations in flight order, each with a grip point x, y, z (metres east, "
+        "north, up) for each vehicle in order along the cable."
+    )
+    lengths: tuple[Number, ...] = Field(
+        (),
+        description="Length of the cable between neighbouring vehicles in metres; empty: no cable.",
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if not self.places or not self.places[0]:
+            raise ValueError("expected at least one formation of at least one vehicle, got none")
+        count = len(self.places[0])
+        for place_in_order, places in enumerate(self.places, start=1):
+            if len(places) != count:
+                raise ValueError(
+                    f"expected {count} places in every formation, got {len(places)} in the "
+                    f"{place_in_order}."
+                )
+            if any(place[2] <= 0 for place in places):
+                raise ValueError("expected every place above the floor (z > 0)")
+        if self.lengths and len(self.lengths) != count - 1:
+            raise ValueError(
+                f"expected {count - 1} lengths for {count} vehicles (or none), got "
+                f"{len(self.lengths)}"
+            )
+        if any(length <= 0 for length in self.lengths):
+            raise ValueError("expected every length > 0 in metres")
+        return self
 
 
 class Mission(Section):
@@ -234,9 +676,7 @@ def parse_mission(text: str, source: str, overrides: Iterable[str] = ()) -> Miss
     the document before it is validated. Raises :class:`swarm.errors.InputError` with every
     problem at once.
     """
-    overrides = tuple(overrides)
-    document = apply_overrides(parse_yaml(text, source), overrides)
-    return validate(Mission, document, source, text, overrides)
+    return read_model(Mission, text, source, overrides)
 
 
 def mission_for_knot(knot: str, overrides: Iterable[str] = ()) -> Mission:

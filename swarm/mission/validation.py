@@ -16,12 +16,58 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.nodes import ScalarNode
+from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 from ruamel.yaml.resolver import VersionedResolver
 
 from swarm.errors import InputError, Problem, nearest, shown
 from swarm.files import DEEPEST_NESTING
-from swarm.mission.yaml_lines import key_lines, line_of
+
+
+def key_lines(text: str, overrides: Iterable[str] = ()) -> dict[tuple[str, ...], int]:
+    """Return key path → line, from 1, of a valid YAML text; a list's entries are keys from 0.
+
+    Keys that an override (``key.path=value``) replaces are left out, with all keys inside.
+    """
+    if not text:
+        return {}
+    try:
+        root = YAML(typ="safe", pure=True).compose(text)
+    except (YAMLError, ValueError):
+        return {}
+    found: dict[tuple[str, ...], int] = {}
+    _collect(root, (), found)
+    for override in overrides:
+        replaced = tuple(key.strip() for key in override.partition("=")[0].split("."))
+        found = {
+            keys: line for keys, line in found.items() if keys[: len(replaced)] != replaced
+        } | {replaced: 0}
+    return found
+
+
+def line_of(keys: Sequence[str], lines: Mapping[tuple[str, ...], int]) -> int | None:
+    """Return the line of a key, or of the innermost section that the text has of its path.
+
+    None without a line: for the whole file, and for what an override gives.
+    """
+    for count in range(len(keys), 0, -1):
+        line = lines.get(tuple(keys[:count]))
+        if line is not None:
+            return line or None
+    return None
+
+
+def _collect(node: Node, path: tuple[str, ...], found: dict[tuple[str, ...], int]) -> None:
+    if isinstance(node, MappingNode):
+        for key, value in node.value:
+            inner = (*path, str(key.value))
+            found[inner] = key.start_mark.line + 1
+            _collect(value, inner, found)
+    elif isinstance(node, SequenceNode):
+        for place, value in enumerate(node.value):
+            inner = (*path, str(place))
+            found[inner] = value.start_mark.line + 1
+            _collect(value, inner, found)
+
 
 _UNITS: Mapping[str, Mapping[str, float]] = {
     "metres": {"mm": 1e-3, "cm": 1e-2, "m": 1.0},
@@ -233,6 +279,16 @@ def validate(
         items.sort(key=lambda item: line_of(_named(item["loc"]), lines) or 0)
         problems = [_problem(model, dict(item), source, lines) for item in items]
         raise InputError(list(dict.fromkeys(problems))) from None
+
+
+def read_model(model: type[Model], text: str, source: str, overrides: Iterable[str] = ()) -> Model:
+    """Return the model of a YAML text with ``key.path=value`` overrides.
+
+    Raises :class:`InputError` with every problem at once; ``source`` names the file in it.
+    """
+    overrides = tuple(overrides)
+    document = apply_overrides(parse_yaml(text, source), overrides)
+    return validate(model, document, source, text, overrides)
 
 
 def _only_invalid(item: dict[str, Any]) -> bool:

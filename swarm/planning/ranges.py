@@ -1,7 +1,7 @@
 """Ranges of times, places and lengths in motion files, plan files and records.
 
 Beyond them, floating-point numbers are too coarse for a certificate. Missions have ranges of their
-own (:mod:`swarm.mission.sections`).
+own (:mod:`swarm.mission.mission`).
 """
 
 from collections.abc import Sequence
