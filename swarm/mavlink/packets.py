@@ -27,9 +27,8 @@ GROUND_COMPONENT = int(common.MAV_COMP_ID_MISSIONPLANNER)
 
 _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
 _SIGNED = 0x01
-_MIN_PACKET = 12
-_HEADER = Struct("<BBBxBBBHB").unpack_from
-"""Magic byte, length, flags, sequence, system, component, and the message number in two parts."""
+_HEADER = Struct("<xBxxBBBHB").unpack_from
+"""Length, sequence, system, component, and the message number in two parts."""
 
 
 class Encoder:
@@ -105,7 +104,7 @@ class Decoder:
             self._rest = b""
         packets: list[Packet] = []
         end = len(data)
-        start = self._append_plain(data, packets) if signing is None else 0
+        start = 0
         while start < end:
             length = packet_length(data, start)
             if length == 0:
@@ -121,30 +120,6 @@ class Decoder:
                 start = self._append(data, start, length, packets, signing)
         return packets
 
-    def _append_plain(self, data: bytes, packets: list[Packet]) -> int:
-        """Append leading whole unsigned MAVLink 2 packets; return the offset after them.
-
-        Nearly all received packets are of this kind: :meth:`_append` has the same result for them.
-        """
-        layouts, unpacked = _LAYOUTS, self.unpacked
-        start, end = 0, len(data)
-        while end - start >= _MIN_PACKET:
-            magic, length, flags, sequence, system, component, number, high = _HEADER(data, start)
-            layout = layouts.get(number)
-            close = start + 10 + length
-            if magic != _MAGIC_2 or flags or high or close + 2 > end or layout is None:
-                break
-            if _checksum(data[start + 1 : close] + layout.extra) != (
-                data[close] | data[close + 1] << 8
-            ):
-                break
-            message = None
-            if unpacked is None or number in unpacked:
-                message = layout.unpack(data[start + 10 : close])
-            packets.append(_make_packet((number, system, component, sequence, message)))
-            start = close + 2
-        return start
-
     def _append(
         self,
         data: bytes,
@@ -156,12 +131,11 @@ class Decoder:
         """Append the packet at ``start``; return the offset of the next one."""
         version_2 = data[start] == _MAGIC_2
         if version_2:
-            sequence, system, component = data[start + 4], data[start + 5], data[start + 6]
-            number = data[start + 7] | data[start + 8] << 8 | data[start + 9] << 16
-            header = 10
+            size, sequence, system, component, low, high = _HEADER(data, start)
+            number, header = low | high << 16, 10
         else:
-            sequence, system, component = data[start + 2], data[start + 3], data[start + 4]
-            number, header = data[start + 5], 6
+            _, size, sequence, system, component, number = data[start : start + 6]
+            header = 6
         layout = _LAYOUTS.get(number)
         if layout is None:
             self.unknown += 1
@@ -169,7 +143,7 @@ class Decoder:
             if version_2 and self._includes_unknown(packet, signing):
                 packets.append(Packet(number, system, component, sequence, None))
             return start + length
-        close = start + header + data[start + 1]
+        close = start + header + size
         checksum = _checksum(data[start + 1 : close] + layout.extra)
         if checksum != data[close] | data[close + 1] << 8:
             self.damaged += 1
@@ -179,7 +153,7 @@ class Decoder:
         message = None
         if self.unpacked is None or number in self.unpacked:
             message = layout.unpack(data[start + header : close])
-        packets.append(Packet(number, system, component, sequence, message))
+        packets.append(_make_packet((number, system, component, sequence, message)))
         return start + length
 
     def _includes_unknown(self, packet: bytes, signing: Signing | None) -> bool:
