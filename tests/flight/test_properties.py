@@ -32,7 +32,7 @@ from tests.network import small_plan
 PLAN = small_plan(vehicles=3)
 VEHICLES = PLAN.plan.mission.vehicles
 MOMENTS = ("takeoff", "grab", "lift", "fold", "finish", "land")
-FAULTS = [values for case in FAILURE_CASES for values in case.faults if values["kind"] != "snag"]
+FAULTS = [case.fault for case in FAILURE_CASES if case.fault and case.fault["kind"] != "snag"]
 BLEND_SPEED = 0.6
 """m/s that a blend into the plan adds at most, at its fastest: 1.875 times its mean of 0.3."""
 LAND_WITHIN = HOLD + GIVE_UP + HOLD + 1.0

@@ -95,16 +95,16 @@ def _moment(flight: SteppedSimulation, part: Part) -> float:
 
 def _fault(case: FailureCase) -> str:
     """Return the fault of a case in words."""
-    words = [
-        f"{fault['kind']} " + " ".join(f"{k}={v}" for k, v in fault.items() if k != "kind")
-        for fault in case.faults
-    ]
+    words = []
+    if case.fault is not None:
+        keys = [f"{k}={v}" for k, v in case.fault.items() if k != "kind"]
+        words.append(" ".join([case.fault["kind"], *keys]))
     if case.station_fault:
         words.append(f"ground station {case.station_fault}")
     if case.lost_message:
         words.append(f"one {case.lost_message} is lost")
     target = " · all vehicles" if case.whole_team else ""
-    return ", ".join(one.strip() for one in words) + target
+    return ", ".join(words) + target
 
 
 def _verdict(trial: FaultTrial) -> str:

@@ -106,8 +106,8 @@ class GroundTruthMonitor:
 
     def _sample_effect(self) -> None:
         conductor, k = self._flight.conductor, self._vehicle
-        state = conductor.state
-        if any(fault["kind"] == "gripper_slip" for fault in self._case.faults):
+        state, fault = conductor.state, self._case.fault
+        if fault is not None and fault["kind"] == "gripper_slip":
             detectable = state.detectors.grip_slip.detectable(state.streams.setpoint)
             visible = conductor.phase.cable == "aloft" and bool(detectable[k])
             self.hidden_slip = not visible

@@ -24,7 +24,7 @@ End = Literal["continued", "landed", "released and landed", "landed by failsafe"
 class FailureCase:
     """A fault, and the required behaviour of the team.
 
-    - ``faults``: those of the emulator, without time and vehicle; with ``whole_team`` they hit all
+    - ``fault``: one of `sitl.faults`, without time and vehicle; with ``whole_team`` it hits all
       vehicles. ``station_fault`` is a fault of the ground station, ``lost_message`` a message that
       is lost. ``duration`` in seconds, 0 for a permanent fault.
     - ``detection_limit``: seconds within which the fault must be detected, None where no detection
@@ -53,7 +53,7 @@ class FailureCase:
     name: str
     group: Group
     allowed_ends: tuple[End, ...]
-    faults: tuple[Mapping[str, Any], ...] = ()
+    fault: Mapping[str, Any] | None = None
     part: Part = "fold"
     detection_limit: float | None = None
     slows_clock: bool = False
@@ -138,10 +138,6 @@ _SILENCE = 1.2
 """Seconds: more than the fleet's limits.silence and a packet's time."""
 
 
-def _gap(seconds: float, direction: str) -> tuple[Mapping[str, Any], ...]:
-    return ({"kind": "link", "loss": 1.0, "direction": direction, "duration": seconds},)
-
-
 def _gaps() -> Iterator[FailureCase]:
     """Yield gaps of 0.1, 0.5, 2 and 10 s in telemetry, setpoints and both; for one and for all.
 
@@ -163,7 +159,7 @@ def _gaps() -> Iterator[FailureCase]:
                     f"{name} gap of {seconds:g} s, {'all' if whole else 'one'}",
                     "links",
                     tuple(ends),
-                    _gap(seconds, direction),
+                    {"kind": "link", "loss": 1.0, "direction": direction, "duration": seconds},
                     detection_limit=None if seconds < 1.0 else _SILENCE,
                     whole_team=whole,
                     duration=seconds,
@@ -178,7 +174,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "lags",
         "one vehicle",
         _CONTINUED,
-        ({"kind": "weak_thrust", "fraction": 0.9},),
+        {"kind": "weak_thrust", "fraction": 0.9},
         detection_limit=2.0,
         needs_cable=True,
         slows_clock=True,
@@ -189,7 +185,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "weak thrust",
         "one vehicle",
         (*_CONTINUED, "landed"),
-        ({"kind": "weak_thrust", "fraction": 0.75},),
+        {"kind": "weak_thrust", "fraction": 0.75},
         detection_limit=2.0,
         needs_cable=True,
         slows_clock=True,
@@ -198,7 +194,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "motor lost",
         "one vehicle",
         _LANDED,
-        ({"kind": "motor_loss"},),
+        {"kind": "motor_loss"},
         detection_limit=0.3,
         loses_vehicle=True,
         explanation=_FALLS,
@@ -207,21 +203,21 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "battery low",
         "one vehicle",
         ("landed",),
-        ({"kind": "battery", "charge": 0.18},),
+        {"kind": "battery", "charge": 0.18},
         detection_limit=1.0,
     ),
     FailureCase(
         "battery critical",
         "one vehicle",
         ("landed",),
-        ({"kind": "battery", "charge": 0.09},),
+        {"kind": "battery", "charge": 0.09},
         detection_limit=1.0,
     ),
     FailureCase(
         "position lost",
         "one vehicle",
         _LANDED,
-        ({"kind": "position_loss"},),
+        {"kind": "position_loss"},
         detection_limit=1.0,
         moves_certified=True,
         allowed_strikes=1,
@@ -235,7 +231,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "position degraded",
         "one vehicle",
         _LANDED,
-        ({"kind": "gps_loss"},),
+        {"kind": "gps_loss"},
         detection_limit=1.5,
         vehicle_drifts=True,
         allowed_strikes=1,
@@ -250,21 +246,21 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "position jumps",
         "one vehicle",
         ("landed",),
-        ({"kind": "gps_jump", "offset": (3.0, -2.0, 0.5)},),
+        {"kind": "gps_jump", "offset": (3.0, -2.0, 0.5)},
         detection_limit=0.3,
     ),
     FailureCase(
         "origin reset",
         "one vehicle",
         ("landed",),
-        ({"kind": "origin_reset", "offset": (4.0, 3.0, 1.0)},),
+        {"kind": "origin_reset", "offset": (4.0, 3.0, 1.0)},
         detection_limit=0.3,
     ),
     FailureCase(
         "barometer drifts",
         "one vehicle",
         _LANDED,
-        ({"kind": "barometer_drift", "rate": 0.1},),
+        {"kind": "barometer_drift", "rate": 0.1},
         detection_limit=6.0,
         least_vehicles=3,
         allowed_strikes=1,
@@ -278,7 +274,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "pilot takes over",
         "one vehicle",
         ("landed",),
-        ({"kind": "pilot"},),
+        {"kind": "pilot"},
         detection_limit=0.5,
         pilot_lands=True,
         cannot_follow=True,
@@ -288,7 +284,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "leaves offboard",
         "one vehicle",
         ("landed",),
-        ({"kind": "leave_offboard"},),
+        {"kind": "leave_offboard"},
         detection_limit=0.5,
         cannot_follow=True,
         explanation=_CANNOT_FOLLOW,
@@ -297,7 +293,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "disarms",
         "one vehicle",
         _LANDED,
-        ({"kind": "disarm"},),
+        {"kind": "disarm"},
         detection_limit=0.3,
         loses_vehicle=True,
         explanation=_FALLS,
@@ -306,7 +302,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "reboots",
         "one vehicle",
         _LANDED,
-        ({"kind": "reboot"},),
+        {"kind": "reboot"},
         detection_limit=1.5,
         loses_vehicle=True,
         explanation=_FALLS,
@@ -315,7 +311,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "reports a false landing",
         "one vehicle",
         _LANDED,
-        ({"kind": "believes_landed"},),
+        {"kind": "believes_landed"},
         detection_limit=0.5,
         loses_vehicle=True,
         explanation=_FALLS,
@@ -324,7 +320,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "gripper fails to grab",
         "one vehicle",
         ("landed",),
-        ({"kind": "gripper_stuck_open"},),
+        {"kind": "gripper_stuck_open"},
         part="grab",
         detection_limit=8.0,
     ),
@@ -332,7 +328,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "gripper slips",
         "one vehicle",
         ("landed", *_CONTINUED),
-        ({"kind": "gripper_slip"},),
+        {"kind": "gripper_slip"},
         detection_limit=10.0,
         least_vehicles=3,
         needs_cable=True,
@@ -349,7 +345,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "gripper sticks shut at release",
         "one vehicle",
         ("landed",),
-        ({"kind": "gripper_stuck_shut"},),
+        {"kind": "gripper_stuck_shut"},
         part="release",
         detection_limit=3.0,
     ),
@@ -358,14 +354,14 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "20 % loss",
         "links",
         _CONTINUED,
-        ({"kind": "link", "loss": 0.2},),
+        {"kind": "link", "loss": 0.2},
         whole_team=True,
     ),
     FailureCase(
         "300 ms latency with jitter",
         "links",
         _CONTINUED,
-        ({"kind": "link", "latency": 0.3, "jitter": 0.1},),
+        {"kind": "link", "latency": 0.3, "jitter": 0.1},
         whole_team=True,
         slows_clock=True,
     ),
@@ -373,7 +369,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "duplicates and reordering",
         "links",
         _CONTINUED,
-        ({"kind": "link", "duplicate": 0.3, "reorder": 0.3},),
+        {"kind": "link", "duplicate": 0.3, "reorder": 0.3},
         whole_team=True,
     ),
     FailureCase(
@@ -415,7 +411,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "wind beyond w*",
         "world",
         (*_CONTINUED, *_LANDED),
-        ({"kind": "wind"},),
+        {"kind": "wind"},
         detection_limit=3.0,
         slows_clock=True,
         moves_certified=True,
@@ -430,7 +426,7 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         "snag",
         "world",
         (*_CONTINUED, *_LANDED),
-        ({"kind": "snag"},),
+        {"kind": "snag"},
         needs_cable=True,
         moves_certified=True,
         slows_clock=True,

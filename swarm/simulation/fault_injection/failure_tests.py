@@ -270,7 +270,8 @@ def fly_fault_trial(flight: SteppedSimulation, case: FailureCase, vehicle: int) 
 def _inject(flight: SteppedSimulation, case: FailureCase, vehicle: int) -> None:
     conductor, system = flight.conductor, flight.conductor.flyers[vehicle].system
     flight.events.clear()
-    for fault in case.faults:
+    fault = case.fault
+    if fault is not None:
         target: dict[str, Any] = {"vehicle": "all" if case.whole_team else system}
         if case.group == "world":
             target = _world_fault(flight.flight_plan, fault["kind"], vehicle)
