@@ -15,7 +15,7 @@ import click
 from sitl.__main__ import command as emulator
 from sitl.faults import KINDS
 from swarm.cli.main import COMMANDS, cli
-from swarm.flight import policy
+from swarm.flight.failures import response_rows
 from swarm.flight.stages import mermaid
 from swarm.planning.archive import FORMAT, SCHEMA
 
@@ -137,7 +137,7 @@ def _plan_files() -> str:
 
 
 def _failures() -> str:
-    heading, *rows = policy.rows()
+    heading, *rows = response_rows()
     found = [_GENERATED, "# Failures and responses\n", _POLICY]
     found += _table(heading, rows)
     found += ["## Stages of a flight\n", _STAGES, "```mermaid", mermaid(), "```", ""]

@@ -14,11 +14,10 @@ import numpy as np
 from sitl import Emulator
 from sitl.world import parse_world
 from swarm.certification.certificate import CertifiedPlan, certify
-from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
-from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
+from swarm.flight.flight_plan import ComparisonFlight, FlightPlan, go
 from swarm.flight.result import Outcome
-from swarm.flight.setup import Options
+from swarm.flight.setup import FlightOptions
 from swarm.flight.snapshot import Event
 from swarm.flight.world import emulated_world
 from swarm.geometry.motion import concatenate, leg
@@ -105,7 +104,9 @@ class Network:
     def __post_init__(self) -> None:
         plan = self.flight_plan.plan
         self.fleet = self.fleet or emulated_fleet(plan.vehicles)
-        self.conductor = Conductor(self.flight_plan, self.fleet, Options(no_cable=self.no_cable))
+        self.conductor = Conductor(
+            self.flight_plan, self.fleet, FlightOptions(no_cable=self.no_cable)
+        )
         world = emulated_world(plan, self.fleet, with_cable=not self.no_cable, seed=self.seed)
         self.emulator = Emulator(parse_world(json.dumps(world)))
         self.step = 1.0 / self.fleet.rates.setpoint

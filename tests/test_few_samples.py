@@ -14,10 +14,9 @@ from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.certification.contingency_windows import above_rotors, rotors_clear
 from swarm.certification.monitor import Monitor
 from swarm.errors import Refused
-from swarm.flight.adherence import adherence
 from swarm.flight.flight_plan import basis_of
-from swarm.flight.recorder import Recorder
-from swarm.flight.result import FlightResult, Outcome, Statistics
+from swarm.flight.result import FlightResult, Outcome, Statistics, adherence
+from swarm.flight.snapshot import Recorder
 from swarm.flight.trace import Trace
 from swarm.formats.samples import sampled_flight
 from swarm.formats.table import samples_table

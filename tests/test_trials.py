@@ -14,7 +14,7 @@ from rich.console import Console
 
 from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.errors import InputError, Refused, SwarmError
-from swarm.flight.setup import Options
+from swarm.flight.setup import FlightOptions
 from swarm.front.trials import TrialSeries, fly_series
 from swarm.ground.fly import fly
 from swarm.mission import parse_mission
@@ -271,7 +271,7 @@ def test_only_the_emulator_flies_a_refused_plan(tmp_path):
     with pytest.raises(Refused, match="a comparison is flown by swarm dry-run only"):
         fly(wrong, fleet, tmp_path / "record")
     assert not (tmp_path / "record").exists()
-    flown, result = fly_trial(wrong, CALM, 1, 0, options=Options(open_loop=True))
+    flown, result = fly_trial(wrong, CALM, 1, 0, options=FlightOptions(open_loop=True))
     assert flown.outcome == "done"
     assert result.basis.kind == "comparison"
     assert result.basis.checked == "not certified: flown for comparison"

@@ -1,5 +1,7 @@
-"""One result of one check of a plan or of a team."""
+"""One result of one check of a plan or of a team; and one message for many vehicles."""
 
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,3 +21,39 @@ class Finding:
     message: str
     at_time: float | None = None
     where: tuple[float, float, float] | None = None
+
+
+_SYSTEM = re.compile(r"system (\d+): ")
+
+
+def numbers(listed: Sequence[int]) -> str:
+    """Return numbers as text, runs as ranges: ``1–3, 7``."""
+    runs: list[list[int]] = []
+    for number in listed:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ", ".join(f"{r[0]}–{r[-1]}" if len(r) > 1 else str(r[0]) for r in runs)
+
+
+def in_common(findings: Iterable[Finding]) -> list[tuple[str, str, str]]:
+    """Return severity, check and message; equal findings on many systems are one line."""
+    merged: dict[tuple[str, str, str], list[int]] = {}
+    for finding in findings:
+        named = _SYSTEM.match(finding.message)
+        words = finding.message[named.end() :] if named else finding.message
+        systems = merged.setdefault((finding.severity, finding.check, words), [])
+        if named:
+            systems.append(int(named[1]))
+    return [
+        (severity, check, of_systems(systems) + words)
+        for (severity, check, words), systems in merged.items()
+    ]
+
+
+def of_systems(systems: Sequence[int]) -> str:
+    """Return the prefix of a message: ``systems 1–3, 7: ``; "" without systems."""
+    if not systems:
+        return ""
+    return f"system{'s' if len(systems) > 1 else ''} {numbers(systems)}: "

@@ -24,8 +24,8 @@ from swarm.cli.inputs import (
 from swarm.cli.planning import load_source
 from swarm.errors import InputError, Problem, Refused, VehicleError
 from swarm.files import read_text, write_text
+from swarm.flight.bench_flight import hop
 from swarm.flight.flight_plan import basis_of, require_tracking
-from swarm.flight.hop import hop
 from swarm.flight.parameters import ParameterResult
 from swarm.front.files import load_fleet
 from swarm.ground.commissioning.check import CheckOptions

@@ -20,7 +20,7 @@ from swarm.cli.inputs import (
 from swarm.cli.planning import load_source, prepare_flight, require_cleared
 from swarm.files import write_text
 from swarm.flight.result import FlightResult
-from swarm.flight.setup import Options
+from swarm.flight.setup import FlightOptions
 from swarm.mission.fleet import emulated_fleet
 from swarm.reports.flight_json import outcome_object
 from swarm.reports.flight_text import print_outcome
@@ -99,7 +99,7 @@ def _fly(
             flight_plan,
             fleet=emulated_fleet(count, seed=seed, cable=options["cable"] or "swinging"),
             seed=seed,
-            options=Options(no_cable=options["no_cable"]),
+            options=FlightOptions(no_cable=options["no_cable"]),
             callbacks=callbacks,
         )
     from swarm.front.trials import load_scenario  # noqa: PLC0415 - slow to import

@@ -26,7 +26,7 @@ from swarm.cli.inputs import (
 )
 from swarm.cli.planning import load_source, require_cleared
 from swarm.files import write_text
-from swarm.flight import policy
+from swarm.flight.failures import response_rows
 from swarm.flight.stages import Stage, mermaid
 from swarm.reports.failures_report import failures_report
 from swarm.reports.failures_text import print_failures
@@ -51,7 +51,7 @@ def print_responses(*, whole: bool, diagram: bool) -> None:
     if diagram:
         click.echo(mermaid())
         return
-    heading, *rows = policy.rows()
+    heading, *rows = response_rows()
     count = len(heading) if whole else 3
     table = Table(*heading[:count])
     for row in rows:

@@ -35,11 +35,10 @@ from swarm.cli.inputs import (
 from swarm.cli.planning import load_source, prepare_flight, require_cleared
 from swarm.errors import InputError, Problem, Refused
 from swarm.flight.bench_flight import RAISED, raised
-from swarm.flight.clearance import Audit
-from swarm.flight.flight_plan import ResumedFlight, confirmed_basis
+from swarm.flight.flight_plan import Audit, ResumedFlight, confirmed_basis
 from swarm.flight.result import FlightResult
-from swarm.flight.resuming import Then, left_off
 from swarm.flight.setup import LOOSE_ERROR
+from swarm.flight.tlog import Then, left_off
 from swarm.front.files import load_fleet
 from swarm.ground.flight_process import FlightRequest, fly_in_process
 from swarm.ground.fly import FlightCallbacks, FlyOptions, Unattended

@@ -20,16 +20,20 @@ from swarm.mission.mission import LARGEST_TRACKING
 from swarm.planning.archive import READ_ERRORS
 
 
-def certificate_document(basis: Basis, found: Assessment) -> dict[str, Any]:
+def certificate_document(basis: Basis, assessment: Assessment) -> dict[str, Any]:
     """Return the basis of a flight, with its findings, as plain data for JSON."""
     return {
         "schema": 1,
         **asdict(basis),
-        "cleared": found.cleared,
-        "knot": {"type": found.knot, "chirality": found.chirality, "gauss": found.gauss},
-        "clearance": clearance_object(found),
-        "robustness": asdict(found.robustness),
-        "findings": [finding_object(finding) for finding in found.findings],
+        "cleared": assessment.cleared,
+        "knot": {
+            "type": assessment.knot,
+            "chirality": assessment.chirality,
+            "gauss": assessment.gauss,
+        },
+        "clearance": clearance_object(assessment),
+        "robustness": asdict(assessment.robustness),
+        "findings": [finding_object(finding) for finding in assessment.findings],
     }
 
 

@@ -13,9 +13,10 @@ slows one of them. At every tick the conductor
 3. decides: what the stage of the flight requires: a request of the operator, the next gate;
 4. acts: setpoints of all vehicles at one mission time go first, then commands.
 
-A flight has stages (:mod:`swarm.flight.stages`); the modules of :mod:`swarm.flight.modes` have what
-happens in each. Once the team has left its plan, it is in a contingency, which ends on the ground.
-The state is in :mod:`swarm.flight.state`, responses to failures are in :mod:`swarm.flight.policy`.
+A flight has stages (:mod:`swarm.flight.stages`); :mod:`swarm.flight.execute` and
+:mod:`swarm.flight.contingency` have what happens in each. Once the team has left its plan, it is in
+a contingency, which ends on the ground. The state is in :mod:`swarm.flight.state`, responses to
+failures are in :mod:`swarm.flight.failures`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,45 +26,36 @@ import numpy as np
 from swarm.certification.clearances import PlanChecks
 from swarm.certification.stream_loss import StreamLossCertificate
 from swarm.errors import Refused
-from swarm.flight.clearance import Audit, ClearedPlan
-from swarm.flight.clock import MissionClock
+from swarm.flight import contingency, execute
 from swarm.flight.detect import IN_FLIGHT, Detectors
-from swarm.flight.ending import conclude, finish
 from swarm.flight.estimation import Measured
-from swarm.flight.flight_plan import Basis, FlightPlan
-from swarm.flight.guidance import Guidance
-from swarm.flight.modes import contingency, execute
-from swarm.flight.modes.execute import prepare, wait_for_clearance
-from swarm.flight.modes.resume import find_team
-from swarm.flight.modes.transitions import change_stage
-from swarm.flight.observation import observation_of
+from swarm.flight.flight_plan import Audit, ClearedPlan, FlightPlan
+from swarm.flight.guidance import Guidance, MissionClock
+from swarm.flight.observation import Observation
 from swarm.flight.observing import follow_swing, monitor, observe
-from swarm.flight.operator import Availability, Request, available, request
 from swarm.flight.parameters import stream_loss_model
 from swarm.flight.preparation import Preparation
-from swarm.flight.recorder import Recorder
 from swarm.flight.reporting import record_sample, snapshot_of, statistics_of
-from swarm.flight.responding import respond
+from swarm.flight.responding import Availability, Request, available, request, respond
 from swarm.flight.result import Outcome, Statistics
-from swarm.flight.resuming import LeftOff, Then
 from swarm.flight.router import Address, Outgoing, Team
-from swarm.flight.setup import Options, Setup, setup_of
-from swarm.flight.snapshot import Event, Snapshot
+from swarm.flight.setup import FlightOptions, Setup, setup_of
+from swarm.flight.snapshot import Event, Recorder, Snapshot
 from swarm.flight.stages import Stage, Trigger
 from swarm.flight.state import (
     LONGEST_TICK,
     FlightState,
-    Mode,
     Placement,
     Resumption,
     Roster,
     Streams,
 )
 from swarm.flight.streams import setpoints
+from swarm.flight.tlog import LeftOff, Then
 from swarm.flight.trace import Trace
 from swarm.mavlink.vehicle import Vehicle
 from swarm.mission.fleet import Fleet
-from swarm.planning import Phase, Plan
+from swarm.planning import Phase
 from swarm.planning.clock_limits import clock_limits
 
 
@@ -79,8 +71,8 @@ def initial_state(setup: Setup, resumption: Resumption) -> FlightState:
     flying = list(team.vehicles.values())[:n]
     placement = Placement(None, np.zeros(n), np.full((n, 3), np.nan))
     if left is not None:
-        flying = [team.vehicles[system] for system in left.systems]
-        placement = Placement(left.frames, left.yaw, starts)
+        flying = [team.vehicles[system] for system in left.known.systems]
+        placement = Placement(left.known.frames, left.known.yaw, starts)
     roster = Roster.of(flying)
     flight = FlightState(
         setup=setup,
@@ -88,16 +80,16 @@ def initial_state(setup: Setup, resumption: Resumption) -> FlightState:
         preparation=Preparation(team, fleet, standing),
         clock=MissionClock(clock_limits(plan.motion, braking)),
         guidance=guidance,
-        detectors=Detectors.of(setup),
+        detectors=Detectors(setup),
         recorder=recorder,
         stream_loss=_stream_loss_of(setup),
         roster=roster,
         placement=placement,
-        observation=observation_of(
+        observation=Observation.of(
             0.0, roster.names, team.telemetry.values, roster.rows, Measured.of(n)
         ),
         streams=Streams.of(n),
-        mode=Mode(Stage.PREPARE if left is None else Stage.RESUME),
+        stage=Stage.PREPARE if left is None else Stage.RESUME,
         resumption=resumption,
     )
     team.report_to(flight.report_of_system)
@@ -117,15 +109,16 @@ def _stream_loss_of(setup: Setup) -> StreamLossCertificate:
 class Conductor:
     """Flies a checked plan with a fleet.
 
-    ``now`` is seconds since the flight's record began, in every call. ``state`` is for reading;
-    each of its parts is replaced by one module of this package alone.
+    ``now`` is seconds since the flight's record began, in every call. ``state`` is for reading.
+    ``flight_plan`` is the plan with what was checked of it, ``basis`` that on which it is flown;
+    ``team`` are the vehicles and the links to them.
     """
 
     def __init__(
         self,
         flight_plan: FlightPlan,
         fleet: Fleet,
-        options: Options = Options(),  # noqa: B008 - frozen
+        options: FlightOptions = FlightOptions(),  # noqa: B008 - frozen
         *,
         left: LeftOff | None = None,
         then: Then = "hold",
@@ -137,41 +130,8 @@ class Conductor:
         """
         setup = setup_of(flight_plan, fleet, options)
         self.state = initial_state(setup, Resumption(left, then))
-
-    @property
-    def flight_plan(self) -> FlightPlan:
-        """The plan, with what was checked of it."""
-        return self.state.setup.flight_plan
-
-    @property
-    def plan(self) -> Plan:
-        """The plan."""
-        return self.state.setup.plan
-
-    @property
-    def fleet(self) -> Fleet:
-        """The fleet."""
-        return self.state.setup.fleet
-
-    @property
-    def basis(self) -> Basis:
-        """The basis on which the plan is flown."""
-        return self.state.setup.basis
-
-    @property
-    def stream_loss(self) -> StreamLossCertificate:
-        """The largest rates of the clock for lost setpoints."""
-        return self.state.stream_loss
-
-    @property
-    def team(self) -> Team:
-        """The vehicles and the links to them."""
-        return self.state.team
-
-    @property
-    def waiting(self) -> bool:
-        """Whether the clock waits at a gate."""
-        return self.state.progress.waiting
+        self.flight_plan, self.plan, self.basis = flight_plan, setup.plan, setup.basis
+        self.fleet, self.team, self.clock = fleet, self.state.team, self.state.clock
 
     @property
     def stage(self) -> Stage:
@@ -182,11 +142,6 @@ class Conductor:
     def now(self) -> float:
         """The time of the last tick."""
         return self.state.now
-
-    @property
-    def clock(self) -> MissionClock:
-        """The mission clock."""
-        return self.state.clock
 
     @property
     def phase(self) -> Phase:
@@ -247,7 +202,7 @@ class Conductor:
             follow_swing(flight)
             monitor(flight)
         self._detect()
-        _MODES[stage](flight)
+        _STAGES[stage](flight)
         # setpoints first: all other packets come behind them
         outgoing = setpoints(flight)
         outgoing.extend(flight.team.tick(now))
@@ -291,7 +246,7 @@ class Conductor:
         if flight.stage not in IN_FLIGHT:
             return
         expected = flight.expected
-        for stages, detector in flight.detectors.each_tick():
+        for stages, detector in flight.detectors.each_tick:
             if flight.stage in stages:
                 findings = detector.detect(flight.observation, expected)
                 for finding in findings:
@@ -308,16 +263,16 @@ class Conductor:
             raise Refused("this flight is not ready for that plan")
         if cleared.audit.stream_loss is not None:
             flight.stream_loss = cleared.audit.stream_loss
-        change_stage(flight, Trigger.CLEARED)
+        flight.change_stage(Trigger.CLEARED)
         flight.report("flight", f"cleared for flight: {self.basis.words}")
 
     def refuse(self, message: str) -> None:
         """End the flight before it begins: the audit did not pass."""
-        finish(self.state, "refused", message)
+        self.state.finish("refused", message)
 
     def give_up(self, message: str) -> None:
         """End the flight in any stage; for shells that cannot go on."""
-        finish(self.state, "failed", message)
+        self.state.finish("failed", message)
 
     def request(self, command: Request, author: str = "") -> str:
         """Carry out an operator's command where it is possible; return its effect in words.
@@ -352,16 +307,11 @@ class Conductor:
         return self.state.recorder.trace(self.plan.vehicles, len(self.plan.layout.lengths))
 
 
-def _leave(flight: FlightState) -> None:
-    if contingency.tick(flight) and flight.stage is Stage.CONTINGENCY:
-        conclude(flight)
-
-
-_MODES: Mapping[Stage, Callable[[FlightState], None]] = {
-    Stage.PREPARE: prepare,
-    Stage.READY: wait_for_clearance,
-    Stage.RESUME: find_team,
+_STAGES: Mapping[Stage, Callable[[FlightState], None]] = {
+    Stage.PREPARE: execute.prepare,
+    Stage.READY: execute.wait_for_clearance,
+    Stage.RESUME: execute.find_team,
     Stage.EXECUTE: execute.tick,
-    Stage.CONTINGENCY: _leave,
+    Stage.CONTINGENCY: contingency.tick,
     Stage.FINISHED: lambda _: None,
 }

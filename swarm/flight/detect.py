@@ -8,8 +8,6 @@ tracking errors in flights that measure them. Slips of the cable are in
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
 from statistics import median
 from typing import Protocol
 
@@ -61,14 +59,14 @@ class StandstillDetector:
             return []
         worst = seen.largest_error / expected.allowed_error
         off, sample = worst >= SLOW_FROM, expected.monitored
-        kept = off or (sample is not None and sample.pace < STOPPED_RATE)
-        if held and not kept:
+        stopped = off or (sample is not None and sample.pace < STOPPED_RATE)
+        if held and not stopped:
             self._since = seen.now
             ended = frozenset({FailureKind.STANDSTILL})
             return [Recovery(ended, "all vehicles follow again", "hold")]
         if held:
             return []
-        if expected.holds or not kept:
+        if expected.holds or not stopped:
             self._since = seen.now
         elif seen.now - self._since > STANDSTILL_TIME:
             return [Failure(FailureKind.STANDSTILL, _cause(seen, expected))]
@@ -266,11 +264,11 @@ class LinkDetector:
 
     def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
         """Return the failures and recoveries of the links at this tick."""
-        heard = seen.now - float(seen.heard_at.min()) <= self._shortest
+        heard = seen.now - float(seen.received_at.min()) <= self._shortest
         answered = seen.now - float(seen.asked_at.min()) <= self._unanswered
         if not self._silent and heard and answered:
             return []
-        limits, found = self._limits, list[Finding]()
+        limits, findings = self._limits, list[Finding]()
         lost = [
             k
             for k in range(len(seen.names))
@@ -278,16 +276,16 @@ class LinkDetector:
         ]
         all_lost = len(lost) == len(seen.names)
         for k, name in enumerate(seen.names):
-            found += self._silence(seen, k)
-            if k in lost and not all_lost and self._reported.first(FailureKind.LOST, k):
+            findings += self._silence(seen, k)
+            if k in lost and not all_lost:
                 words = f"no packets for {limits.lost:g} s: {name}"
-                found.append(Failure(FailureKind.LOST, words, k))
+                findings += self._reported.once(FailureKind.LOST, k, words)
             if seen.silent_for(k) > FALLEN_SILENCE and neighbour_pulled_down(seen, expected, k):
-                found += fallen_silent(seen, self._reported, k)
+                findings += fallen_silent(seen, self._reported, k)
         if all_lost and self._reported.first(FailureKind.ALL_LOST, 0):
             words = f"no packets of any vehicle for {limits.lost:g} s"
-            found.append(Failure(FailureKind.ALL_LOST, words))
-        return found
+            findings.append(Failure(FailureKind.ALL_LOST, words))
+        return findings
 
     def _silence(self, seen: Observation, k: int) -> list[Finding]:
         """Return that a vehicle falls silent or does not answer, or that it is received again."""
@@ -335,10 +333,8 @@ def neighbour_pulled_down(seen: Observation, expected: Expected, k: int) -> bool
 
 def fallen_silent(seen: Observation, reported: Latch, k: int) -> list[Finding]:
     """Return, once, that a silent vehicle has fallen."""
-    if not reported.first(FailureKind.FALLEN_SILENT, k):
-        return []
     words = f"{seen.names[k]} is silent and a neighbour is pulled down: it has fallen"
-    return [Failure(FailureKind.FALLEN_SILENT, words, k)]
+    return reported.once(FailureKind.FALLEN_SILENT, k, words)
 
 
 Floats = npt.NDArray[np.float64]
@@ -388,15 +384,15 @@ class MotionDetector:
         )  # fmt: skip
         if not new:
             return []
-        found: list[Finding] = []
+        findings: list[Finding] = []
         if calm:
             self._disturbed.clear()
         else:
             for k in range(len(seen.names)):
                 if expected.armed[k] and not expected.may_land[k] and now.at[k] > last.at[k]:
-                    found += self._examine(seen, expected, k)
+                    findings += self._examine(seen, expected, k)
         estimation.keep_reports(now, last, self._step)
-        return found
+        return findings
 
     def follow_frame(self, k: int, jump: Floats) -> None:
         """Follow a frame that moved: the next report is compared in it."""
@@ -440,9 +436,9 @@ class MotionDetector:
             silent = [j for j in near if seen.silent_for(j) > UNHEARD and j not in expected.fallen]
             for j in silent:
                 if seen.silent_for(j) > FALLEN_SILENCE and (
-                    found := fallen_silent(seen, self._reported, j)
+                    findings := fallen_silent(seen, self._reported, j)
                 ):
-                    return found
+                    return findings
             earlier = [j for j in near if j in self._disturbed and self._disturbed[j][0] < since]
             lost = silent or earlier or not expected.fallen.isdisjoint(near)
             pulled = lost or k in expected.opening
@@ -451,12 +447,10 @@ class MotionDetector:
         turned_over = tilt > TURNED_OVER
         if not (falls or turned_over) and seen.mode_at[k] <= since:
             return []
-        if not self._reported.first(FailureKind.FALLING, k):
-            return []
         sinking = f"descending at {-float(seen.velocity[k, 2]):.1f} m/s"
         what = "falls" if expected.streaming[k] or falls or turned_over else "leaves the team"
         how = "turned over" if turned_over else sinking
-        return [Failure(FailureKind.FALLING, f"{seen.names[k]} {what}: {how}", k)]
+        return self._reported.once(FailureKind.FALLING, k, f"{seen.names[k]} {what}: {how}")
 
     def _note(self, seen: Observation, k: int) -> tuple[float, bool]:
         """Return since when a vehicle moves as if it fell, and whether it held the cable then.
@@ -482,25 +476,21 @@ class HealthDetector:
 
     def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
         """Return the failures of batteries and positions at this tick."""
-        suspect = (seen.battery <= BATTERY_LOW) | ~seen.located | seen.poor_fix
-        found: list[Finding] = []
+        suspect = (seen.battery <= BATTERY_LOW) | ~seen.position_healthy | seen.poor_fix
+        findings: list[Finding] = []
         for k in np.flatnonzero(suspect & expected.armed & ~expected.may_land).tolist():
-            battery, name = float(seen.battery[k]), seen.names[k]
+            battery, name, once = float(seen.battery[k]), seen.names[k], self._reported.once
             words = f"{name} has a battery charge of {battery:.0%}"
-            if battery <= BATTERY_CRITICAL and self._first(FailureKind.BATTERY_CRITICAL, k):
-                found.append(Failure(FailureKind.BATTERY_CRITICAL, words, k))
-            elif battery <= BATTERY_LOW and self._first(FailureKind.BATTERY_LOW, k):
-                found.append(Failure(FailureKind.BATTERY_LOW, words, k))
-            if not seen.located[k] and self._first(FailureKind.POSITION_LOST, k):
-                words = f"{name} has no position estimate"
-                found.append(Failure(FailureKind.POSITION_LOST, words, k))
-            if seen.poor_fix[k] and self._gps and self._first(FailureKind.FIX_LOST, k):
-                words = f"{name} has lost its GPS fix"
-                found.append(Failure(FailureKind.FIX_LOST, words, k))
-        return found
-
-    def _first(self, kind: FailureKind, k: int) -> bool:
-        return self._reported.first(kind, k)
+            critical = battery <= BATTERY_CRITICAL and once(FailureKind.BATTERY_CRITICAL, k, words)
+            if critical:
+                findings += critical
+            elif battery <= BATTERY_LOW:
+                findings += once(FailureKind.BATTERY_LOW, k, words)
+            if not seen.position_healthy[k]:
+                findings += once(FailureKind.POSITION_LOST, k, f"{name} has no position estimate")
+            if seen.poor_fix[k] and self._gps:
+                findings += once(FailureKind.FIX_LOST, k, f"{name} has lost its GPS fix")
+        return findings
 
 
 HEIGHT_DRIFT = (0.3, 1.0)
@@ -538,13 +528,13 @@ class HeightDetector:
         if np.count_nonzero(np.isnan(drift)) or len(drift) < 3:
             return []
         middle = median(drift.tolist())
-        accuracies = seen.height_accuracy.tolist()
+        accuracies = seen.vertical_accuracy.tolist()
         stated = [accuracy for accuracy in accuracies if not math.isnan(accuracy)]
         accuracies = [math.inf if math.isnan(accuracy) else accuracy for accuracy in accuracies]
         least, most = HEIGHT_DRIFT
         least = least if self._aloft else most
         most, usual = max(most, *stated) if stated else most, median(accuracies)
-        found: list[Finding] = []
+        findings: list[Finding] = []
         for k, by in enumerate(drift.tolist()):
             off = by - middle
             allowed = min(max(_ACCURACIES * max(accuracies[k], usual), least), most)
@@ -556,8 +546,8 @@ class HeightDetector:
                 words = f"{seen.names[k]}'s height has drifted by {off:+.1f} m"
                 jump = np.array([0.0, 0.0, -step])
                 known = not self._reported.first(FailureKind.HEIGHT_DRIFT, k)
-                found.append(Failure(FailureKind.HEIGHT_DRIFT, words, k, jump, known))
-        return found
+                findings.append(Failure(FailureKind.HEIGHT_DRIFT, words, k, jump, known))
+        return findings
 
     def follow_frame(self, k: int, jump: Floats, kind: FailureKind) -> None:
         """Follow a frame that moved: a drift becomes part of the reference, and after a jump of the
@@ -570,8 +560,8 @@ class HeightDetector:
         if begun and not self._aloft:
             self.reference[:], self._aloft = np.nan, True
         fresh = np.isnan(self.reference)
-        self.reference[fresh] = seen.height_gap[fresh]
-        return seen.height_gap - self.reference
+        self.reference[fresh] = seen.height_difference[fresh]
+        return seen.height_difference - self.reference
 
 
 class TrackingDetector:
@@ -607,10 +597,10 @@ class TrackingDetector:
         if not len(near):
             return []
         pair = near[np.argmin(apart[near])]
-        one, other = int(first[pair]), int(second[pair])
-        words = f"{seen.names[one]} and {seen.names[other]} are {apart[pair]:.2f} m apart, "
+        nearer, farther = int(first[pair]), int(second[pair])
+        words = f"{seen.names[nearer]} and {seen.names[farther]} are {apart[pair]:.2f} m apart, "
         words += f"less than the required {self._clearance:g} m"
-        return [Failure(FailureKind.TRACKING_ERROR, words, one)]
+        return [Failure(FailureKind.TRACKING_ERROR, words, nearer)]
 
 
 IN_FLIGHT = frozenset({Stage.EXECUTE, Stage.CONTINGENCY})
@@ -626,57 +616,35 @@ class Detector(Protocol):
         ...
 
 
-@dataclass(frozen=True)
 class Detectors:
-    """All detectors of a flight."""
+    """All detectors of a flight; ``each_tick`` are those that run at every tick, in their order,
+    each with the stages in which it detects."""
 
-    station: StationDetector
-    reports: ReportDetector
-    links: LinkDetector
-    motion: MotionDetector
-    health: HealthDetector
-    heights: HeightDetector
-    grip_slip: GripSlipDetector
-    tracking: TrackingDetector
-    hold_timeout: HoldTimeoutDetector
-    standstill: StandstillDetector
-    blocked: BlockedDetector
-
-    @classmethod
-    def of(cls, setup: Setup) -> "Detectors":
-        """Return the detectors of a flight that has not begun."""
+    def __init__(self, setup: Setup) -> None:
         plan, fleet, options = setup.plan, setup.fleet, setup.options
         reported, n = Latch(), plan.vehicles
         carried = setup.carries_cable and not options.open_loop
         paced = not options.open_loop and options.error_limit is None
-        return cls(
-            station=StationDetector(),
-            reports=ReportDetector(),
-            links=LinkDetector(fleet.limits, reported),
-            motion=MotionDetector(n, reported, cable=setup.carries_cable),
-            health=HealthDetector(reported, gps=fleet.frame == "gps"),
-            heights=HeightDetector(n, reported),
-            grip_slip=GripSlipDetector(plan, reported, enabled=carried),
-            tracking=TrackingDetector(options.error_limit, plan.mission.clearance.vehicle),
-            hold_timeout=HoldTimeoutDetector(fleet.limits.hold),
-            standstill=StandstillDetector(enabled=paced),
-            blocked=BlockedDetector(),
+        self.reports = ReportDetector()
+        self.station = StationDetector()
+        self.motion = MotionDetector(n, reported, cable=setup.carries_cable)
+        self.heights = HeightDetector(n, reported)
+        self.grip_slip = GripSlipDetector(plan, reported, enabled=carried)
+        self.hold_timeout = HoldTimeoutDetector(fleet.limits.hold)
+        self.each_tick: tuple[tuple[frozenset[Stage], Detector], ...] = (
+            (IN_FLIGHT, LinkDetector(fleet.limits, reported)),
+            (IN_FLIGHT, self.motion),
+            (IN_FLIGHT, HealthDetector(reported, gps=fleet.frame == "gps")),
+            (IN_FLIGHT, self.heights),
+            (ON_PLAN, self.station),
+            (ON_PLAN, self.grip_slip),
+            (ON_PLAN, TrackingDetector(options.error_limit, plan.mission.clearance.vehicle)),
+            (ON_PLAN, self.hold_timeout),
+            (ON_PLAN, StandstillDetector(enabled=paced)),
+            (OFF_PLAN, BlockedDetector()),
         )
 
     def follow_frame(self, k: int, jump: Floats, kind: FailureKind) -> None:
         """Compare in a frame that moved by (3,) metres: with its position, or by a drift."""
         self.motion.follow_frame(k, jump)
         self.heights.follow_frame(k, jump, kind)
-
-    def each_tick(self) -> Iterator[tuple[frozenset[Stage], Detector]]:
-        """Yield the detectors in their order, each with the stages in which it detects."""
-        yield IN_FLIGHT, self.links
-        yield IN_FLIGHT, self.motion
-        yield IN_FLIGHT, self.health
-        yield IN_FLIGHT, self.heights
-        yield ON_PLAN, self.station
-        yield ON_PLAN, self.grip_slip
-        yield ON_PLAN, self.tracking
-        yield ON_PLAN, self.hold_timeout
-        yield ON_PLAN, self.standstill
-        yield OFF_PLAN, self.blocked

@@ -14,10 +14,10 @@ from swarm.flight.preparation import (
     Prepared,
     leave_offboard,
     prepared_team,
+    readiness,
     request_origin,
     request_streams,
 )
-from swarm.flight.readiness import readiness
 from swarm.flight.router import Address, Outgoing, Team
 from swarm.flight.snapshot import Event
 from swarm.mavlink.frames import to_mission
@@ -158,8 +158,8 @@ class FleetListener:
 
     def not_ready(self) -> list[Finding]:
         """Return the errors that prevent arming; ArduPilot's mode does not count."""
-        found = readiness(self.received, self.fleet, self.now)
-        return [f for f in found if "not guided" not in f.message]
+        findings = readiness(self.received, self.fleet, self.now)
+        return [f for f in findings if "not guided" not in f.message]
 
     def placement(self, standing: Floats) -> Prepared | Finding:
         """Return the vehicles on the pads (n, 3) of a plan, or why they cannot be assigned."""
@@ -251,11 +251,11 @@ class FleetListener:
         if measurement is None:
             return []
         duration = max(self.now - measurement.since, 1e-3)
-        found = []
+        qualities = []
         for system, vehicle in self.team.vehicles.items():
             packets = vehicle.packets - measurement.counts[system][0]
             lost = max(vehicle.lost_packets - measurement.counts[system][1], 0)
-            found.append(
+            qualities.append(
                 LinkQuality(
                     system,
                     packets / duration,
@@ -265,7 +265,7 @@ class FleetListener:
                     measurement.unanswered.get(system, 0.0),
                 )
             )
-        return found
+        return qualities
 
     def events(self) -> list[Event]:
         """Return the events since the last call."""

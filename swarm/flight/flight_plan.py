@@ -1,4 +1,5 @@
-"""The kinds of plans that may be flown, each with a type for the checks that it has passed.
+"""The kinds of plans that may be flown, each with a type for the checks that it has passed; and the
+cleared plan, with an audited team: the only one that may fly.
 
 Only a :class:`CertifiedPlan` carries cable on real vehicles. The others need no certificate of
 their own: a hop and a raised flight carry no cable, a resumed flight was certified before it was
@@ -17,6 +18,7 @@ from swarm.certification.certificate import (
     without_cable,
 )
 from swarm.certification.clearances import certified
+from swarm.certification.findings import Finding, in_common
 from swarm.certification.stream_loss import StreamLossCertificate
 from swarm.errors import Refused
 from swarm.mission.fleet import Fleet
@@ -209,10 +211,61 @@ def confirmed_basis(plan: Plan, recorded: Basis) -> Basis:
     return replace(recorded, max_tracking_error=next(held, None))
 
 
-def max_tracking_error(plan: Plan, found: Assessment) -> float:
+def max_tracking_error(plan: Plan, assessment: Assessment) -> float:
     """Return the largest tracking error, metres, for which clearances are certified.
 
     That is e* where it was computed, and the mission's ``vehicles.tracking`` at least.
     """
     tracking = plan.mission.vehicles.tracking
-    return max(tracking, found.robustness.tracking or 0.0)
+    return max(tracking, assessment.robustness.tracking or 0.0)
+
+
+@dataclass(frozen=True)
+class Audit:
+    """The findings on the team while it stood on the ground.
+
+    ``systems`` are the system ids in order along the cable. ``stream_loss`` is
+    the certificate of lost setpoints for these vehicles, where their parameters are known.
+    """
+
+    systems: tuple[int, ...]
+    findings: tuple[Finding, ...]
+    stream_loss: StreamLossCertificate | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether no finding is an error."""
+        return all(finding.severity != "error" for finding in self.findings)
+
+
+@dataclass(frozen=True)
+class ClearedPlan:
+    """A checked plan with an audit without errors.
+
+    Raises :class:`Refused` where the plan was changed since, or the audit is of another plan.
+    """
+
+    flight_plan: FlightPlan
+    audit: Audit
+
+    def __post_init__(self) -> None:
+        self.flight_plan.check()
+        errors = [f for f in self.audit.findings if f.severity == "error"]
+        if len(self.audit.systems) != self.flight_plan.plan.vehicles:
+            raise Refused(
+                f"the plan is for {self.flight_plan.plan.vehicles} vehicles, "
+                f"{len(self.audit.systems)} were audited"
+            )
+        stream_loss = self.audit.stream_loss
+        if stream_loss is not None and stream_loss.digest != digest(self.flight_plan.plan):
+            raise Refused("the audit worked out lost setpoints for another plan")
+        if errors:
+            words = [f"{check}: {message}" for _, check, message in in_common(errors)]
+            if any(finding.check == "parameters" for finding in errors):
+                words.append("swarm check MISSION --fleet FLEET --fix asks, and sets parameters")
+            raise Refused("\n".join(words))
+
+
+def go(flight_plan: FlightPlan, audit: Audit) -> ClearedPlan:
+    """Return the plan as cleared for flight; raises :class:`Refused` with every error."""
+    return ClearedPlan(flight_plan, audit)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.flight.failures import Failure, FailureKind, Finding, Latch
+from swarm.flight.failures import FailureKind, Finding, Latch
 from swarm.flight.load import TAUT, end_forces
 from swarm.flight.observation import Expected, Observation
 from swarm.geometry.catenary import STANDARD_GRAVITY
@@ -104,10 +104,10 @@ class GripSlipDetector:
             self.reset()
             return []
         k = self.evaluate(seen.now, seen.attitude, seen.velocity, seen.position)
-        if k is None or not self._reported.first(FailureKind.GRIP_SLIP, k):
+        if k is None:
             return []
         words = f"{seen.names[k]} leans as after a slip of the cable"
-        return [Failure(FailureKind.GRIP_SLIP, words, k)]
+        return self._reported.once(FailureKind.GRIP_SLIP, k, words)
 
     def _comparable(self, seen: Observation, expected: Expected) -> bool:
         """Return whether attitudes show the pull of a cable that all vehicles hold aloft."""
@@ -174,9 +174,9 @@ class GripSlipDetector:
         speed = moving - moving.mean(axis=0)
         force = residual - bias
         force -= force.mean(axis=0)
-        kept = 1.0 - INTERVAL / DRAG_TIME
-        self._moved = kept * self._moved + float(np.sum(speed * speed))
-        self._dragged = kept * self._dragged - float(np.sum(force * speed))
+        remembered = 1.0 - INTERVAL / DRAG_TIME
+        self._moved = remembered * self._moved + float(np.sum(speed * speed))
+        self._dragged = remembered * self._dragged - float(np.sum(force * speed))
         free: Floats = residual + self._drag * moving
         return free
 

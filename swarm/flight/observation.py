@@ -11,23 +11,10 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.monitor import Clearances, Monitor
 from swarm.flight.estimation import Measured
 from swarm.flight.failures import HoldCause
-from swarm.flight.monitoring import Sample
-from swarm.mavlink.telemetry_table import (
-    ARMED,
-    ASKED_AT,
-    ATTITUDE,
-    BATTERY,
-    FIX_TYPE,
-    GRIPPED,
-    HEIGHT_DIFFERENCE,
-    MODE_AT,
-    POSITION_AT,
-    POSITION_HEALTHY,
-    RECEIVED_AT,
-    VERTICAL_ACCURACY,
-)
+from swarm.mavlink.telemetry_table import Reports
 from swarm.planning import CableState
 
 Floats = npt.NDArray[np.float64]
@@ -39,16 +26,12 @@ FIX_3D = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Observation:
+class Observation(Reports):
     """The latest reports of n vehicles at the time ``now``.
 
-    ``table`` (m, WIDTH) is the team's telemetry table, ``rows`` (n,) the vehicles' rows in it.
-    ``heard_at``, ``asked_at`` (`VehicleState`), ``position_at`` and ``mode_at`` (n,) are times in
-    seconds; ``attitude`` (n, 3) roll, pitch and yaw in radians. ``battery`` (n,) is a share 0…1,
-    ``located`` (n,) whether the vehicle has a position estimate, ``fix`` (n,) GPS_FIX_TYPE (-1: not
-    reported). ``height_gap`` (n,) in metres is the local height against the GPS,
-    ``height_accuracy`` (n,) the receiver's own statement; ``gripped`` (n,) whether the vehicle
-    holds the cable, ``armed`` (n,) whether its motors run. NaN: not known.
+    ``table`` (m, WIDTH) is the team's telemetry table, ``rows`` (n,) the vehicles' rows in it, and
+    ``values`` (n, WIDTH) what stood there: every number of :class:`Reports` is an attribute (n,).
+    ``measured`` are their places. NaN: not known.
     """
 
     now: float
@@ -56,18 +39,15 @@ class Observation:
     table: Floats
     rows: Indices
     measured: Measured
-    heard_at: Floats
-    asked_at: Floats
-    position_at: Floats
-    attitude: Floats
-    mode_at: Floats
-    battery: Floats
-    located: Flags
-    fix: Floats
-    height_gap: Floats
-    height_accuracy: Floats
-    gripped: Flags
-    armed: Flags
+    values: Floats
+    row: None = None
+
+    @classmethod
+    def of(
+        cls, now: float, names: Sequence[str], table: Floats, rows: Indices, measured: Measured
+    ) -> "Observation":
+        """Return the observation of vehicles whose positions have been ``measured``."""
+        return cls(now, names, table, rows, measured, table[rows])
 
     @property
     def position(self) -> Floats:
@@ -87,7 +67,7 @@ class Observation:
     @property
     def poor_fix(self) -> Flags:
         """Whether a vehicle (n,) has a GPS receiver without a position in space."""
-        flags: Flags = (self.fix >= 0) & (self.fix < FIX_3D)
+        flags: Flags = (self.fix_type >= 0) & (self.fix_type < FIX_3D)
         return flags
 
     @cached_property
@@ -98,7 +78,7 @@ class Observation:
 
     def silent_for(self, k: int) -> float:
         """Return the seconds since a packet of a vehicle was received."""
-        return self.now - float(self.heard_at[k])
+        return self.now - float(self.received_at[k])
 
     def unanswered_for(self, k: int) -> float:
         """Return the seconds for which a vehicle that is received has not answered; 0 where it has.
@@ -106,7 +86,7 @@ class Observation:
         Where nothing was received since the request, its silence tells as much.
         """
         asked = float(self.asked_at[k])
-        return self.now - asked if asked < self.heard_at[k] else 0.0
+        return self.now - asked if asked < self.received_at[k] else 0.0
 
     def shifted(self, k: int, jump: Floats) -> "Observation":
         """Return the same with a vehicle's position moved back by (3,) metres."""
@@ -117,30 +97,37 @@ class Observation:
         return replace(self, measured=measured)
 
 
-def observation_of(
-    now: float, names: Sequence[str], table: Floats, rows: Indices, measured: Measured
-) -> Observation:
-    """Return the observation of vehicles whose positions have been ``measured``."""
-    reported = table[rows]
-    return Observation(
-        now=now,
-        names=names,
-        table=table,
-        rows=rows,
-        measured=measured,
-        heard_at=reported[:, RECEIVED_AT],
-        asked_at=reported[:, ASKED_AT],
-        position_at=reported[:, POSITION_AT],
-        attitude=reported[:, ATTITUDE : ATTITUDE + 3],
-        mode_at=reported[:, MODE_AT],
-        battery=reported[:, BATTERY],
-        located=reported[:, POSITION_HEALTHY] > 0.0,
-        fix=reported[:, FIX_TYPE],
-        height_gap=reported[:, HEIGHT_DIFFERENCE],
-        height_accuracy=reported[:, VERTICAL_ACCURACY],
-        gripped=reported[:, GRIPPED] > 0.0,
-        armed=reported[:, ARMED] > 0.0,
-    )
+@dataclass
+class Sample:
+    """Positions at one moment and a moment ahead.
+
+    ``moments`` (2, n, 3) are grip points, mission ENU; ``strays`` (n − 1,) how far the strands
+    swing from their catenaries, where that is estimated. Clearances are computed where they are
+    read; the clock mostly needs a bound of the strands' distances alone.
+    """
+
+    monitor: Monitor
+    moments: Floats
+    cable: CableState
+    strays: Floats | None = None
+
+    @cached_property
+    def clearances(self) -> Clearances:
+        """Distances now; the margin is the smaller of now and ahead."""
+        here, ahead = self.monitor.clearances(self.moments, self.cable)
+        return min(
+            here,
+            replace(here, margin=ahead.margin, kind=ahead.kind),
+            key=lambda distances: distances.margin,
+        )
+
+    @cached_property
+    def pace(self) -> float:
+        """The largest permitted rate of the clock, 0…1."""
+        pace = self.monitor.clock_rate(self.moments, self.cable)
+        if self.strays is None:
+            return pace
+        return min(pace, self.monitor.swinging_rate(self.moments, self.strays))
 
 
 @dataclass(frozen=True, eq=False)

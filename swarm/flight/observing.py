@@ -1,7 +1,5 @@
 """From telemetry to the observation of this tick, and the frames in which it is expressed."""
 
-from dataclasses import replace
-
 import numpy as np
 import numpy.typing as npt
 
@@ -9,11 +7,10 @@ from swarm.certification.monitor import LOOKAHEAD
 from swarm.flight import estimation
 from swarm.flight.estimation import Measured
 from swarm.flight.failures import FailureKind
-from swarm.flight.monitoring import Monitored, Sample
-from swarm.flight.observation import observation_of
+from swarm.flight.observation import Observation, Sample
 from swarm.flight.preparation import Prepared
 from swarm.flight.state import FlightState, Roster
-from swarm.flight.swinging import INTERVAL, Reports, lean
+from swarm.flight.swinging import INTERVAL, GripReports, lean
 
 Floats = npt.NDArray[np.float64]
 
@@ -38,20 +35,17 @@ def observe(flight: FlightState) -> None:
             flight.team.telemetry.values, roster.rows,
             (*flight.placement.frames.inverse, flight.setup.lift), commanded, times, measured,
         )  # fmt: skip
-    flight.observation = observation_of(
+    flight.observation = Observation.of(
         timing.now, roster.names, flight.team.telemetry.values, roster.rows, measured
     )
 
 
 def place_team(flight: FlightState, prepared: Prepared) -> None:
     """Take the vehicles, frames and audit of a team that stands ready on its pads."""
-    flight.roster = Roster.of(prepared.flyers)
-    flight.placement = replace(
-        flight.placement, frames=prepared.frames, yaw=prepared.yaw, audit=prepared.audit
-    )
+    flight.roster, placement = Roster.of(prepared.flyers), flight.placement
+    placement.frames, placement.yaw, placement.audit = prepared.frames, prepared.yaw, prepared.audit
     observe(flight)
-    start = flight.observation.position.copy()
-    flight.placement = replace(flight.placement, start_position=start)
+    placement.start_position = flight.observation.position.copy()
 
 
 def shift_frame(flight: FlightState, k: int, jump: Floats, kind: FailureKind) -> None:
@@ -65,8 +59,8 @@ def shift_frame(flight: FlightState, k: int, jump: Floats, kind: FailureKind) ->
         return
     by = np.zeros((len(flight.roster.rows), 3))
     by[k] = -jump
-    frames, moved = placement.frames.shifted(by), placement.moved | {k}
-    flight.placement = replace(placement, frames=frames, moved=moved)
+    placement.frames = placement.frames.shifted(by)
+    placement.moved |= {k}
     flight.observation = flight.observation.shifted(k, jump)
     flight.detectors.follow_frame(k, jump, kind)
 
@@ -85,31 +79,31 @@ def follow_swing(flight: FlightState) -> None:
         return
     fresh = flight.now - seen.position_at <= EXTRAPOLATION
     turn, offset = flight.placement.frames.inverse[0], float(flight.setup.lift[2])
-    reports = Reports(
+    reports = GripReports(
         now=flight.now,
         position=seen.position,
         velocity=np.where(fresh[:, None], seen.velocity, streams.velocity),
         lean=lean(seen.attitude, turn, offset),
         fresh=fresh,
     )
-    flight.swing = estimator.begin(reports) if before is None else estimator.follow(before, reports)
+    flight.swing = estimator.follow(before, reports)
 
 
 def monitor(flight: FlightState) -> None:
     """Update the live monitor with the positions now and a moment ahead, ten times a second."""
     options, seen = flight.setup.options, flight.observation
-    if flight.now < flight.monitored.next_at or options.open_loop:
+    if flight.now < flight.next_monitoring or options.open_loop:
         return
     if options.error_limit is not None:
         return
     if np.count_nonzero(np.isfinite(seen.position)) < seen.position.size:
         return
-    next_at, phase = flight.now + MONITOR_INTERVAL, flight.phase
+    flight.next_monitoring, phase = flight.now + MONITOR_INTERVAL, flight.phase
+    flight.monitored = None
     if phase.cable == "floor" or flight.progress.waiting:
-        flight.monitored = Monitored(None, next_at)
         return
     held = flight.attached and not flight.setup.bare
     cable = phase.cable if held else "free"
     moments = np.array((seen.position, seen.position + LOOKAHEAD * seen.velocity))
     strays = flight.swing.amplitude if flight.swing is not None else None
-    flight.monitored = Monitored(Sample(flight.setup.monitor, moments, cable, strays), next_at)
+    flight.monitored = Sample(flight.setup.monitor, moments, cable, strays)

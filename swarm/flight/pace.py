@@ -2,9 +2,7 @@
 
 from swarm.flight.detect import SLOW_FROM
 from swarm.flight.failures import OPERATOR
-from swarm.flight.holds import hold
 from swarm.flight.parameters import STREAM_LOSS_TIME
-from swarm.flight.progress import error_too_large, set_rewinding
 from swarm.flight.state import LONGEST_TICK, FlightState
 
 ASLEEP = STREAM_LOSS_TIME
@@ -54,13 +52,13 @@ def steer_clock(flight: FlightState) -> None:
         clock.target = 0.0
         return
     pace = allowed_pace(flight, backwards=flight.progress.rewinding)
-    if flight.monitored.sample is not None:
-        clock.urgent |= flight.monitored.sample.pace == 0.0
+    if flight.monitored is not None:
+        clock.urgent |= flight.monitored.pace == 0.0
     if flight.progress.rewinding:
         pace = -pace
         if clock.stopped and clock.time <= rewind_end(flight) + 1e-6:
-            set_rewinding(flight, rewinding=False)
-            hold(flight, OPERATOR, f"rewound to {clock.time:.1f} s: {rewind_limit(flight)[1]}")
+            flight.progress.rewinding = False
+            flight.hold(OPERATOR, f"rewound to {clock.time:.1f} s: {rewind_limit(flight)[1]}")
             pace = 0.0
     clock.target = pace
 
@@ -82,15 +80,15 @@ def _pace_of_errors(flight: FlightState) -> float:
     pace = min(1.0, max(0.0, (1.0 - _worst(flight)) / (1.0 - SLOW_FROM)))
     if options.error_limit is not None and flight.phase.name == "hold":
         pace = 1.0  # the errors that are measured here must not decide for how long
-    if flight.monitored.sample is not None:
-        pace = min(pace, flight.monitored.sample.pace)
+    if flight.monitored is not None:
+        pace = min(pace, flight.monitored.pace)
     return pace
 
 
 def _too_far(flight: FlightState) -> bool:
     """Return whether a tracking error is larger than the allowed one, and take note of it."""
     if _worst(flight) > 1.0:
-        error_too_large(flight)
+        flight.progress.error_kept_since = flight.clock.time
         return True
     return False
 

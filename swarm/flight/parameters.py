@@ -132,7 +132,7 @@ class ParameterResult:
 
 
 def _one_of(*values: float) -> Callable[[Value], bool]:
-    return lambda value: any(abs(value - one) <= 1e-6 * max(1.0, abs(one)) for one in values)
+    return lambda value: any(abs(value - good) <= 1e-6 * max(1.0, abs(good)) for good in values)
 
 
 def _least(bound: float) -> Callable[[Value], bool]:
@@ -339,11 +339,11 @@ def stream_loss_model(
     lands when its setpoints end descends until that is detected.
     """
     names = {"px4": "COM_OF_LOSS_T", "ardupilot": "GUID_TIMEOUT"}
-    times = [float(values.get(names.get(one, ""), STREAM_LOSS_TIME)) for one, values in vehicles]
+    times = [float(values.get(names.get(kind, ""), STREAM_LOSS_TIME)) for kind, values in vehicles]
     timeout = tuple(time if math.isfinite(time) else STREAM_LOSS_TIME for time in times)
-    lands = [one == "px4" and values.get("COM_OBL_RC_ACT") == 4.0 for one, values in vehicles]
-    descent = tuple(limits.silence * limits.descent if one else 0.0 for one in lands)
-    returns = tuple(one == "ardupilot" for one, _ in vehicles)
+    lands = [kind == "px4" and values.get("COM_OBL_RC_ACT") == 4.0 for kind, values in vehicles]
+    descent = tuple(limits.silence * limits.descent if at_once else 0.0 for at_once in lands)
+    returns = tuple(kind == "ardupilot" for kind, _ in vehicles)
     return StreamLossModel(timeout, limits.silence, descent, returns).shortest
 
 
@@ -351,11 +351,11 @@ def stream_loss_findings(
     plan: Plan, model: StreamLossModel
 ) -> tuple[StreamLossCertificate, list[Finding]]:
     """Return the certificate of a plan for lost setpoints of these vehicles, with findings."""
-    found = PlanChecks.of(plan).stream_loss(model)
-    findings = found.findings()
+    certificate = PlanChecks.of(plan).stream_loss(model)
+    findings = certificate.findings()
     lands = [descent > 0.0 for descent in model.descent]
     if any(lands) and not all(lands):
-        who = ", ".join(f"vehicle {k}" for k, one in enumerate(lands, 1) if one)
+        who = ", ".join(f"vehicle {k}" for k, lands_alone in enumerate(lands, 1) if lands_alone)
         words = f"when all setpoints end, {who} would land at once and the others would hold"
         findings.append(Finding("error", "stream loss", words))
-    return found, findings
+    return certificate, findings

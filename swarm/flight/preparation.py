@@ -1,32 +1,210 @@
-"""On the ground: receive all vehicles, request their streams, wait until all are ready."""
+"""On the ground: receive all vehicles, request their streams, and wait until all are present,
+healthy, and on their pads.
+
+The vehicles' places on the pads also determine their frames: heights are levelled on the pads,
+since barometers and GPS put the origins' heights metres apart.
+"""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 from pymavlink.dialects.v20 import common
 
-from swarm.certification.findings import Finding
+from swarm.certification.findings import Finding, Severity
 from swarm.errors import Refused
-from swarm.flight.clearance import Audit
-from swarm.flight.readiness import (
-    assigned,
-    decided_in_offboard,
-    levelled,
-    named,
-    placement,
-    readiness,
-    rough_frames,
-)
+from swarm.flight.flight_plan import Audit
 from swarm.flight.result import Outcome
 from swarm.flight.router import Team
-from swarm.mavlink.frames import Frames
+from swarm.mavlink.fence import FenceItem, polygon
+from swarm.mavlink.frames import (
+    Frames,
+    Origin,
+    from_mission,
+    gps_frames,
+    shared_frames,
+    to_mission,
+)
 from swarm.mavlink.vehicle import Vehicle
 from swarm.mission.fleet import Fleet
 
 Floats = npt.NDArray[np.float64]
+
+FRESH = 1.0
+"""Seconds after which a position is too old."""
+
+
+def named(vehicle: Vehicle, number: int) -> str:
+    """Return the name of a vehicle in messages: its place along the cable, and system id."""
+    if number == vehicle.system:
+        return f"vehicle {number}"
+    return f"vehicle {number} (system {vehicle.system})"
+
+
+def readiness(vehicles: Sequence[Vehicle], fleet: Fleet, now: float) -> list[Finding]:
+    """Return the errors that prevent arming, of vehicles in order along the cable."""
+    findings: list[Finding] = []
+    for number, vehicle in enumerate(vehicles, 1):
+        name = named(vehicle, number)
+        problems = problems_of(vehicle, fleet, now)
+        findings.extend(Finding("error", check, f"{name}: {text}") for check, text in problems)
+    return findings
+
+
+def problems_of(vehicle: Vehicle, fleet: Fleet, now: float) -> list[tuple[str, str]]:
+    """Return what prevents a vehicle from arming: checks, with the reasons in words."""
+    if vehicle.heartbeat_at == -math.inf or vehicle.autopilot is None:
+        return [("heard", "no heartbeat of a PX4 or ArduPilot")]
+    if now - vehicle.received_at > fleet.limits.silence + 1.0:
+        return [("heard", f"silent for {now - vehicle.received_at:.1f} s")]
+    problems = []
+    if vehicle.armed:
+        problems.append(("disarmed", "is already armed"))
+    if vehicle.landed_state and not vehicle.on_ground:
+        problems.append(("on ground", "reports that it is not on the ground"))
+    if now - vehicle.position_at > FRESH:
+        problems.append(("position", "no fresh local position"))
+    if not math.isfinite(vehicle.attitude[2]):
+        problems.append(("attitude", "no attitude"))
+    if fleet.frame == "gps" and vehicle.origin is None:
+        problems.append(("origin", "its estimator's origin is unknown"))
+    if vehicle.autopilot.ready_in_offboard_only and not vehicle.in_mode("offboard"):
+        problems.append(("mode", f"is in {vehicle.mode}, not guided"))
+    if vehicle.ready is False and not decided_in_offboard(vehicle, fleet):
+        said = vehicle.recent_warnings(now, within=30.0)
+        problems.append(("ready", "not ready to arm" + (f" ({said})" if said else "")))
+    elif vehicle.ready is None:
+        problems.append(("ready", "has not reported whether it is ready to arm"))
+    return problems
+
+
+def decided_in_offboard(vehicle: Vehicle, fleet: Fleet) -> bool:
+    """Return whether a vehicle's readiness is decided in offboard mode only.
+
+    PX4 judges by its present mode (Commander: ``canArm(nav_state)``). On the ground that is Hold,
+    which requires a global position; indoors there is none, and PX4 arms only in offboard mode with
+    a stream of setpoints. The arm command before take-off shows the result.
+    """
+    early = vehicle.autopilot is not None and vehicle.autopilot.ready_in_offboard_only
+    return fleet.frame == "shared" and vehicle.ready is False and not early
+
+
+def rough_frames(vehicles: Sequence[Vehicle], fleet: Fleet, pads: Floats) -> Frames:
+    """Return the vehicles' frames before heights are levelled.
+
+    ``pads`` (n, 3) are the pads of vehicles that have theirs from the fleet file (NaN for the
+    others); they place the mission on the earth where the fleet file does not. Raises
+    :class:`Refused` where a required origin is not known.
+    """
+    if fleet.frame != "gps":
+        turned = -math.radians(fleet.origin.heading) if fleet.origin else 0.0
+        return shared_frames(len(vehicles), turned)
+    mission, turned = _mission_place(vehicles, fleet, pads)
+    projections = [v.autopilot.name if v.autopilot else "px4" for v in vehicles]
+    origins = [vehicle.origin for vehicle in vehicles if vehicle.origin is not None]
+    return gps_frames(mission, turned, origins, projections)
+
+
+def _mission_place(vehicles: Sequence[Vehicle], fleet: Fleet, pads: Floats) -> tuple[Origin, float]:
+    """Return the place of the mission's (0, 0, 0) on the earth, and how far it is turned."""
+    origins = [vehicle.origin for vehicle in vehicles if vehicle.origin is not None]
+    if len(origins) < len(vehicles):
+        without = ", ".join(str(v.system) for v in vehicles if v.origin is None)
+        raise Refused(f"the estimators' origins are not known of systems {without}")
+    place = fleet.origin
+    if place is None:
+        return _fitted(vehicles, pads)
+    altitude = origins[0].altitude if place.altitude is None else place.altitude
+    return Origin(place.latitude, place.longitude, altitude), -math.radians(place.heading)
+
+
+def mission_fence(
+    flyers: Sequence[Vehicle], fleet: Fleet, standing: Floats, corners: Sequence[Sequence[float]]
+) -> tuple[FenceItem, ...]:
+    """Return a mission's fence for the vehicles' own fences.
+
+    ``flyers`` are in order along the cable, ``standing`` (n, 3) their planned places, ``corners``
+    x and y of the fence: all mission ENU, metres. Raises :class:`Refused` where the mission cannot
+    be placed on the earth.
+    """
+    listed = {vehicle.sysid for vehicle in fleet.vehicles if vehicle.pad is not None}
+    given = np.array([[vehicle.system in listed] for vehicle in flyers])
+    place, turned = _mission_place(flyers, fleet, np.where(given, standing, np.nan))
+    places = [from_mission(place, turned, np.array([x, y, 0.0])) for x, y in corners]
+    return polygon([(place.latitude, place.longitude) for place in places])
+
+
+def levelled(frames: Frames, fleet: Fleet, standing: Floats, measured: Floats) -> Frames:
+    """Return the frames of vehicles that stand on their pads, corrected by their places there.
+
+    ``standing`` (n, 3) are the planned places of the centres, mission ENU; ``measured`` (n, 3) the
+    reported ones, each in its own NED. Heights are levelled to ``standing``, except
+    in a shared frame; in the frame ``pads`` the horizontal position is, too.
+    """
+    if fleet.frame == "shared":
+        return frames
+    off = standing - frames.points_to_mission(measured)
+    if fleet.frame == "gps":
+        off[:, :2] = 0.0
+    return frames.shifted(off)
+
+
+def assigned(positions: Floats, pads: Floats, taken: Mapping[int, int]) -> list[int]:
+    """Return the vehicle on each of the n pads: indices into ``positions`` (m, 3).
+
+    ``taken`` are pads that the fleet file assigns; the others are assigned with the smallest sum of
+    squared horizontal distances. The remaining vehicles are spares.
+    """
+    free_pads = [pad for pad in range(len(pads)) if pad not in taken]
+    others = [k for k in range(len(positions)) if k not in taken.values()]
+    apart = positions[others][None, :, :2] - pads[free_pads][:, None, :2]
+    rows, columns = scipy.optimize.linear_sum_assignment((apart**2).sum(axis=2))
+    chosen = dict(taken)
+    chosen |= {free_pads[r]: others[c] for r, c in zip(rows, columns, strict=True)}
+    return [chosen[pad] for pad in range(len(pads))]
+
+
+def _fitted(vehicles: Sequence[Vehicle], pads: Floats) -> tuple[Origin, float]:
+    """Place the mission so that pads fit their vehicles' places, by least squares.
+
+    Rotation and translation in the plane from matched points: Umeyama 1991, without scale.
+    """
+    known = [k for k, v in enumerate(vehicles) if v.global_position and np.isfinite(pads[k]).all()]
+    if len(known) < 2:
+        raise Refused("the fleet file gives neither an origin nor two vehicles with their pads")
+    places = [place for k in known if (place := vehicles[k].global_position) is not None]
+    first = places[0]
+    there = np.array([to_mission(first, 0.0, place)[:2] for place in places])
+    here = pads[known][:, :2]
+    spread_here, spread_there = here - here.mean(axis=0), there - there.mean(axis=0)
+    sine = float(
+        np.sum(spread_here[:, 0] * spread_there[:, 1] - spread_here[:, 1] * spread_there[:, 0])
+    )
+    cosine = float(np.sum(spread_here * spread_there))
+    turned = math.atan2(sine, cosine)
+    c, s = math.cos(turned), math.sin(turned)
+    shift = there.mean(axis=0) - np.array([[c, -s], [s, c]]) @ here.mean(axis=0)
+    return from_mission(first, 0.0, np.array([shift[0], shift[1], 0.0])), turned
+
+
+def placement(
+    vehicles: Sequence[Vehicle], fleet: Fleet, frames: Frames, standing: Floats, measured: Floats
+) -> list[Finding]:
+    """Return the distances of vehicles from their pads; too large ones are errors."""
+    off = np.linalg.norm(frames.points_to_mission(measured) - standing, axis=1)
+    findings = []
+    limit = fleet.limits.placement
+    for number, (vehicle, distance) in enumerate(zip(vehicles, off.tolist(), strict=True), 1):
+        severity: Severity = "info" if distance <= limit else "error"
+        text = f"{named(vehicle, number)} stands {distance:.2f} m from its pad"
+        if severity == "error":
+            text += f" (at most {limit:g} m)"
+        findings.append(Finding(severity, "placement", text))
+    return findings
+
 
 _REQUEST_INTERVAL = 1.0
 """Seconds between requests for a vehicle's origin: it answers within a round trip of 0.7 s."""

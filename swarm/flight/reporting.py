@@ -5,15 +5,15 @@ from typing import Final
 
 import numpy as np
 
-from swarm.flight.modes.execute import airborne, at_rest, releasing
-from swarm.flight.modes.rejoin import outside
-from swarm.flight.operator import available
-from swarm.flight.readiness import problems_of, readiness
+from swarm.certification.findings import numbers
+from swarm.flight.execute import airborne, at_rest, releasing
+from swarm.flight.preparation import problems_of, readiness
+from swarm.flight.responding import available
 from swarm.flight.result import Statistics
 from swarm.flight.snapshot import Snapshot
 from swarm.flight.stages import Stage, Step
 from swarm.flight.state import FlightState
-from swarm.flight.words import numbers
+from swarm.flight.streams import outside
 from swarm.mavlink.vehicle import Vehicle
 from swarm.planning import Condition, Gate
 
@@ -66,12 +66,14 @@ def _preparation(flight: FlightState) -> str:
     if not flight.preparation.all_received:
         silent = _of(flight, lambda vehicle: not flight.received(vehicle))
         return f"heartbeats of {silent}" if silent else "heartbeats of all vehicles"
-    unready = _of(flight, lambda one: bool(readiness([one], flight.setup.fleet, flight.now)))
+    unready = _of(
+        flight, lambda vehicle: bool(readiness([vehicle], flight.setup.fleet, flight.now))
+    )
     return f"{unready} to be ready" if unready else "all vehicles to be ready"
 
 
 def _of(flight: FlightState, condition: Callable[[Vehicle], bool]) -> str:
-    which = [k for k, one in enumerate(flight.roster.vehicles, 1) if condition(one)]
+    which = [k for k, vehicle in enumerate(flight.roster.vehicles, 1) if condition(vehicle)]
     return f"vehicle{'s' if len(which) > 1 else ''} {numbers(which)}" if which else ""
 
 

@@ -175,11 +175,11 @@ class Identities:
         """
         places = self._places.get(system, {})
         place = places.get((link, address))
-        first = [one for one in places.values() if one.trusted and one.link == link]
-        if place is None or place.beats < 2 or any(one.beats > 1 for one in first):
+        first = [other for other in places.values() if other.trusted and other.link == link]
+        if place is None or place.beats < 2 or any(other.beats > 1 for other in first):
             return False
-        for one in first:
-            one.trusted = False
+        for other in first:
+            other.trusted = False
         place.trusted = True
         return True
 
@@ -659,6 +659,10 @@ class Team:
         if signing is None:
             return outgoing
         return [
-            Outgoing(one.link, one.address, signing.append_signature(one.data, numbers[one.link]))
-            for one in outgoing
+            Outgoing(
+                packet.link,
+                packet.address,
+                signing.append_signature(packet.data, numbers[packet.link]),
+            )
+            for packet in outgoing
         ]

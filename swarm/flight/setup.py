@@ -25,7 +25,7 @@ LOOSE_ERROR = 0.5
 
 
 @dataclass(frozen=True)
-class Options:
+class FlightOptions:
     """How a plan is flown.
 
     ``no_cable``: nothing is attached and grips are simulated. ``open_loop``: the clock keeps the
@@ -53,7 +53,7 @@ class Setup:
     flight_plan: FlightPlan
     plan: Plan
     fleet: Fleet
-    options: Options
+    options: FlightOptions
     basis: Basis
     commands_grippers: bool
     carries_cable: bool
@@ -68,7 +68,7 @@ class Setup:
     drag: Mapping[int, float]
 
 
-def setup_of(flight_plan: FlightPlan, fleet: Fleet, options: Options) -> Setup:
+def setup_of(flight_plan: FlightPlan, fleet: Fleet, options: FlightOptions) -> Setup:
     """Return the constants of a flight.
 
     Raises :class:`Refused` where the fleet is too small, the plan does not rest at its gates, is
@@ -101,7 +101,7 @@ def setup_of(flight_plan: FlightPlan, fleet: Fleet, options: Options) -> Setup:
         swing=SwingEstimator.of(plan) if carries_cable else None,
         pull=PlannedPull(plan),
         lift=np.array([0.0, 0.0, plan.mission.vehicles.grip_offset]),
-        drag={one.sysid: one.drag for one in fleet.vehicles if one.drag is not None},
+        drag={listed.sysid: listed.drag for listed in fleet.vehicles if listed.drag is not None},
     )
 
 

@@ -1,10 +1,11 @@
-"""The whole state of a flight: a few frozen parts, each replaced by one module alone.
+"""The whole state of a flight, in parts that have the methods which change them.
 
-:data:`OWNERS` names that module for every part; `tests/flight/test_state.py` compares it with the
-code. Everything is of n vehicles in order along the cable; positions are grip points, mission ENU.
+Everything is of n vehicles in order along the cable; positions are grip points, mission ENU. Arrays
+and collections of the parts are replaced, not written into: what a detector was given stays as it
+was.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,23 +13,19 @@ import numpy.typing as npt
 
 from swarm.certification.monitor import Clearances
 from swarm.certification.stream_loss import StreamLossCertificate
-from swarm.flight.clearance import Audit
-from swarm.flight.clock import MissionClock
 from swarm.flight.detect import Detectors
-from swarm.flight.failures import HoldCause
-from swarm.flight.guidance import Guidance
-from swarm.flight.monitoring import Monitored
-from swarm.flight.observation import Expected, Observation
-from swarm.flight.policy import Response
-from swarm.flight.preparation import Preparation
-from swarm.flight.readiness import named
-from swarm.flight.recorder import Recorder
-from swarm.flight.result import Outcome
-from swarm.flight.resuming import LeftOff, Then
+from swarm.flight.failures import FailureKind, HoldCause, Response
+from swarm.flight.flight_plan import Audit
+from swarm.flight.guidance import Guidance, MissionClock
+from swarm.flight.observation import Expected, Observation, Sample
+from swarm.flight.preparation import Preparation, named
+from swarm.flight.result import Outcome, Word
 from swarm.flight.router import Team
 from swarm.flight.setup import LOOSE_ERROR, Setup
-from swarm.flight.stages import Stage, Step
+from swarm.flight.snapshot import Recorder
+from swarm.flight.stages import Stage, Step, StepTrigger, Trigger, next_stage, next_step
 from swarm.flight.swinging import Swing
+from swarm.flight.tlog import LeftOff, Then
 from swarm.mavlink.frames import Frames
 from swarm.mavlink.vehicle import Vehicle
 from swarm.planning import Gate, Phase
@@ -41,6 +38,8 @@ Indices = npt.NDArray[np.int64]
 LONGEST_TICK = 0.1
 """Seconds that pass in one tick at most. Time in which the ground station did not run is not flown
 afterwards, since the setpoints would jump, and counts against no vehicle."""
+_LEAST_DRAG = 0.05
+"""Smallest fitted drag, 1/s, that is reported: smaller ones are within the error of the fit."""
 
 
 @dataclass(frozen=True)
@@ -72,14 +71,6 @@ class Timing:
         return self.now - self.last
 
 
-@dataclass(frozen=True)
-class Mode:
-    """The stage of the flight, and when it began."""
-
-    stage: Stage = Stage.PREPARE
-    since: float = 0.0
-
-
 @dataclass(frozen=True, eq=False)
 class Roster:
     """The vehicles that fly, with their system ids and their rows (n,) in the telemetry table.
@@ -107,7 +98,7 @@ class Roster:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Placement:
     """The vehicles' frames, their yaw (n,) in radians, and where they started (n, 3).
 
@@ -121,7 +112,7 @@ class Placement:
     moved: frozenset[int] = frozenset()
 
 
-@dataclass(frozen=True)
+@dataclass
 class Progress:
     """How far the plan is flown.
 
@@ -139,10 +130,17 @@ class Progress:
     ready_at: float = 0.0
     rewinding: bool = False
     error_kept_since: float = 0.0
-    done: frozenset[tuple[int, int, str]] = frozenset()
+    done: set[tuple[int, int, str]] = field(default_factory=set)
+
+    def first_time(self, k: int, action: str) -> bool:
+        """Return whether a vehicle's action is new at this gate, and note it."""
+        key = (self.gate, k, action)
+        first = key not in self.done
+        self.done.add(key)
+        return first
 
 
-@dataclass(frozen=True)
+@dataclass
 class Holds:
     """Why the clock is held: the causes, with a message for each."""
 
@@ -153,8 +151,21 @@ class Holds:
         """All causes in words; None where the clock is not held."""
         return "; ".join(self.causes.values()) or None
 
+    def end(self, ended: Iterable[HoldCause]) -> None:
+        """End the holds of these causes."""
+        gone = set(ended)
+        self.causes = {cause: words for cause, words in self.causes.items() if cause not in gone}
 
-@dataclass(frozen=True, eq=False)
+    def end_failures(self, kinds: Iterable[FailureKind], system: int | None) -> None:
+        """End the holds by failures of these kinds, of a vehicle and of the team."""
+        self.end(HoldCause(kind, of) for kind in kinds for of in (system, None))
+
+    def end_vehicle(self, system: int) -> None:
+        """End every hold by a failure of a vehicle."""
+        self.end([cause for cause in self.causes if cause.system == system])
+
+
+@dataclass(eq=False)
 class Streams:
     """The setpoints of the team, and to which vehicles they are sent.
 
@@ -178,8 +189,30 @@ class Streams:
         none = np.zeros(n, dtype=np.bool_)
         return cls(np.full((n, 3), np.nan), np.zeros((n, 3)), none, none.copy())
 
+    def switch(self, k: int, *, on: bool) -> None:
+        """Send setpoints to a vehicle from now on, or no longer."""
+        self.active = self.active.copy()
+        self.active[k] = on
 
-@dataclass(frozen=True)
+    def stop_all(self) -> None:
+        """End all setpoints."""
+        self.active = np.zeros_like(self.active)
+
+    def expect_armed(self, *, armed: bool = True) -> None:
+        """From now on, a vehicle that is not armed has failed; or none has."""
+        self.expected_armed = np.full_like(self.expected_armed, armed)
+
+    def give_up(self, k: int) -> None:
+        """Give up a vehicle that falls: no setpoints any more."""
+        self.switch(k, on=False)
+        self.fallen |= {k}
+
+    def end_rejoining(self, k: int) -> None:
+        """Note that a vehicle has returned, or has not in time."""
+        self.rejoining = {j: since for j, since in self.rejoining.items() if j != k}
+
+
+@dataclass
 class Contingency:
     """The flight outside the plan, from the moment at which it was decided.
 
@@ -202,7 +235,7 @@ class Contingency:
     target: float | None = None
     moving_at: float = 0.0
     landing: frozenset[int] = frozenset()
-    on_ground_since: Mapping[int, float] = field(default_factory=dict)
+    on_ground_since: dict[int, float] = field(default_factory=dict)
     opening: frozenset[int] = frozenset()
     staggered: bool = False
     cornered: bool = False
@@ -211,8 +244,12 @@ class Contingency:
     alone_since: float = 0.0
     waited: float = 0.0
 
+    def change_step(self, trigger: StepTrigger, now: float) -> None:
+        """Go to the step that the table of transitions has; ValueError where it has none."""
+        self.step, self.step_since = next_step(self.step, trigger), now
 
-@dataclass(frozen=True)
+
+@dataclass
 class Ending:
     """How the flight ends: the first reason for which it has failed, whether the operator has
     interrupted it, and the outcome once it has ended."""
@@ -222,7 +259,7 @@ class Ending:
     outcome: Outcome | None = None
 
 
-@dataclass(frozen=True)
+@dataclass
 class Resumption:
     """Where an interrupted flight broke off, and the operator's order for after it is resumed."""
 
@@ -230,28 +267,13 @@ class Resumption:
     then: Then = "hold"
 
 
-OWNERS: Mapping[str, str] = {
-    "stream_loss": "conductor",
-    "timing": "conductor",
-    "mode": "modes/transitions",
-    "roster": "observing",
-    "placement": "observing",
-    "observation": "observing",
-    "monitored": "observing",
-    "swing": "observing",
-    "progress": "progress",
-    "streams": "streams",
-    "holds": "holds",
-    "contingency": "modes/contingency",
-    "ending": "ending",
-    "resumption": "modes/resume",
-}
-"""Part → the module of swarm.flight that replaces it."""
-
-
 @dataclass(eq=False)
 class FlightState:
-    """One flight: its constants, the parts of its state, and the objects that it works with."""
+    """One flight: its constants, the parts of its state, and the objects that it works with.
+
+    ``monitored`` is the live monitor's latest sample (None: there is nothing to monitor),
+    ``next_monitoring`` the time of the next.
+    """
 
     setup: Setup
     team: Team
@@ -265,10 +287,11 @@ class FlightState:
     placement: Placement
     observation: Observation
     streams: Streams
-    monitored: Monitored = field(default_factory=Monitored)
+    stage: Stage = Stage.PREPARE
+    monitored: Sample | None = None
+    next_monitoring: float = 0.0
     swing: Swing | None = None
     timing: Timing = field(default_factory=Timing)
-    mode: Mode = field(default_factory=Mode)
     progress: Progress = field(default_factory=Progress)
     holds: Holds = field(default_factory=Holds)
     contingency: Contingency | None = None
@@ -280,11 +303,6 @@ class FlightState:
     def now(self) -> float:
         """The time of this tick."""
         return self.timing.now
-
-    @property
-    def stage(self) -> Stage:
-        """The stage of the flight."""
-        return self.mode.stage
 
     @property
     def phase(self) -> Phase:
@@ -322,16 +340,18 @@ class FlightState:
     @property
     def clearances(self) -> Clearances | None:
         """The latest distances of the live monitor; None where there is nothing to monitor."""
-        return self.monitored.sample.clearances if self.monitored.sample else None
+        return self.monitored.clearances if self.monitored else None
 
     @property
     def expected(self) -> Expected:
         """The commanded state of the vehicles."""
         streams, contingency = self.streams, self.contingency
         may_land = np.full(len(streams.active), self.landing_as_planned)
+        approaches = False
         if contingency is not None:
             systems = self.roster.systems
             may_land = np.array([system in contingency.landing for system in systems])
+            approaches = contingency.step is Step.APPROACH
         return Expected(
             setpoint=streams.setpoint,
             velocity=streams.velocity,
@@ -349,15 +369,9 @@ class FlightState:
             rate=self.clock.rate,
             rewinding=self.progress.rewinding,
             allowed_error=self.allowed_error,
-            monitored=self.monitored.sample,
-            blocked=self._blocked,
+            monitored=self.monitored,
+            blocked=self.now - contingency.moving_at if contingency and approaches else 0.0,
         )
-
-    @property
-    def _blocked(self) -> float:
-        contingency = self.contingency
-        approaches = contingency is not None and contingency.step is Step.APPROACH
-        return self.now - contingency.moving_at if contingency and approaches else 0.0
 
     @property
     def attached(self) -> bool:
@@ -372,6 +386,10 @@ class FlightState:
         """Return the name of a vehicle in messages."""
         return named(vehicle, self.roster.numbers.get(vehicle.system, vehicle.system))
 
+    def names(self, vehicles: Iterable[Vehicle]) -> str:
+        """Return the names of vehicles in messages."""
+        return ", ".join(self.name(vehicle) for vehicle in vehicles)
+
     def report(self, kind: str, message: str, vehicle: Vehicle | None = None) -> None:
         """Add an event to the record."""
         number = self.roster.numbers.get(vehicle.system) if vehicle else None
@@ -380,3 +398,61 @@ class FlightState:
     def report_of_system(self, kind: str, message: str, system: int | None) -> None:
         """Add an event of a system to the record."""
         self.report(kind, message, self.team.vehicles.get(system) if system else None)
+
+    # Changes
+
+    def hold(self, cause: HoldCause, message: str) -> None:
+        """Hold the clock until the cause has ended; another of the same cause does nothing."""
+        if cause not in self.holds.causes:
+            self.holds.causes = {**self.holds.causes, cause: message}
+            self.report("hold", f"holding: {message}")
+
+    def start_stream(self, k: int) -> None:
+        """Begin to send setpoints to a vehicle, from its position, blending into the plan."""
+        if not self.streams.active[k]:
+            self.streams.switch(k, on=True)
+            position = self.observation.position[k]
+            self.guidance.join(k, position, self.clock.time, self.timing.moving)
+
+    def begin_rejoining(self, k: int) -> None:
+        """Begin to send setpoints to a vehicle that shall return to offboard mode."""
+        self.streams.rejoining = {**self.streams.rejoining, k: self.now}
+        self.start_stream(k)
+
+    def stop_streams_of_landing(self) -> None:
+        """End the setpoints to vehicles that have left offboard mode to land."""
+        for k, vehicle in enumerate(self.roster.vehicles):
+            if self.streams.active[k] and vehicle.in_mode("land"):
+                self.streams.switch(k, on=False)
+
+    def change_stage(self, trigger: Trigger) -> None:
+        """Go to the stage that the table of transitions has; ValueError where it has none."""
+        self.stage = next_stage(self.stage, trigger)
+
+    def mark_failed(self, message: str) -> None:
+        """Keep the first reason for which the flight has failed, however it ends."""
+        if self.ending.failure is None:
+            self.ending.failure = message
+
+    def conclude(self) -> None:
+        """End a flight whose vehicles have all landed, with its outcome."""
+        if self.ending.failure is not None:
+            self.finish("failed", self.ending.failure)
+        elif self.ending.interrupted:
+            self.finish("interrupted", "interrupted; all vehicles have landed")
+        elif self.stage is Stage.CONTINGENCY:
+            self.finish("interrupted", "landed before the plan was flown to its end")
+        else:
+            self.finish("done", "all vehicles have landed and disarmed")
+
+    def finish(self, word: Word, message: str) -> None:
+        """End the flight with an outcome."""
+        self.streams.stop_all()
+        for vehicle in self.roster.vehicles:
+            vehicle.restore_streams()
+        self.ending.outcome = Outcome(word, message)
+        drag = self.detectors.grip_slip.drag
+        if drag > _LEAST_DRAG:
+            self.report("drag", f"the vehicles' drag, fitted in this flight: {drag:.2f} 1/s")
+        self.report("outcome", f"{word}: {message}")
+        self.change_stage(Trigger.END)

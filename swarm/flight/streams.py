@@ -1,11 +1,15 @@
-"""The streams of setpoints: to which vehicles they go, and the packets of this tick."""
+"""The streams of setpoints: the packets of this tick, and vehicles that return to the team.
 
-from dataclasses import replace
+A vehicle that left offboard mode returns when the operator agrees: setpoints to it begin at its
+position, and the team holds meanwhile. Without the operator's consent, a team returns vehicles only
+to move to where it can land.
+"""
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm.flight.estimation import setpoints_ned
+from swarm.flight.failures import OPERATOR
 from swarm.flight.guidance import State
 from swarm.flight.router import Outgoing
 from swarm.flight.stages import Stage
@@ -15,56 +19,49 @@ Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 
-def start_stream(flight: FlightState, k: int) -> None:
-    """Begin to send setpoints to a vehicle, from its position, blending into the plan."""
-    if not flight.streams.active[k]:
-        _set_active(flight, k, active=True)
-        position = flight.observation.position[k]
-        flight.guidance.join(k, position, flight.clock.time, flight.timing.moving)
+STREAM_BEFORE_OFFBOARD = 1.0
+"""Seconds of setpoints before offboard mode is commanded (PX4 requires a stream first)."""
+REJOIN_TIMEOUT = 6.0
+"""Seconds after which a vehicle that does not return to offboard mode gets no more setpoints."""
 
 
-def stop_stream(flight: FlightState, k: int) -> None:
-    """End the setpoints to a vehicle."""
-    if flight.streams.active[k]:
-        _set_active(flight, k, active=False)
+def outside(flight: FlightState) -> list[int]:
+    """Return the vehicles that fly without setpoints and could return to the team."""
+    streams = flight.streams
+    return [
+        k
+        for k, vehicle in enumerate(flight.roster.vehicles)
+        if streams.expected_armed[k]
+        and not streams.active[k]
+        and vehicle.armed
+        and flight.received(vehicle)
+        and not vehicle.in_manual_mode
+        and k not in streams.fallen
+    ]
 
 
-def stop_all_streams(flight: FlightState) -> None:
-    """End all setpoints."""
-    active = np.zeros_like(flight.streams.active)
-    flight.streams = replace(flight.streams, active=active)
+def rejoin(flight: FlightState) -> None:
+    """Send setpoints to the vehicles outside again, from where each is; the team holds."""
+    flight.hold(OPERATOR, "vehicles rejoin")
+    for k in outside(flight):
+        flight.begin_rejoining(k)
 
 
-def stop_streams_of_landing(flight: FlightState) -> None:
-    """End the setpoints to vehicles that have left offboard mode to land."""
-    for k, vehicle in enumerate(flight.roster.vehicles):
-        if flight.streams.active[k] and vehicle.in_mode("land"):
-            stop_stream(flight, k)
-
-
-def expect_armed(flight: FlightState, *, armed: bool = True) -> None:
-    """From now on, a vehicle that is not armed has failed; or none has."""
-    expected = np.full_like(flight.streams.expected_armed, armed)
-    flight.streams = replace(flight.streams, expected_armed=expected)
-
-
-def give_up(flight: FlightState, k: int) -> None:
-    """Give up a vehicle that falls: no setpoints any more."""
-    stop_stream(flight, k)
-    flight.streams = replace(flight.streams, fallen=flight.streams.fallen | {k})
-
-
-def begin_rejoining(flight: FlightState, k: int) -> None:
-    """Begin to send setpoints to a vehicle that shall return to offboard mode."""
-    rejoining = {**flight.streams.rejoining, k: flight.now}
-    flight.streams = replace(flight.streams, rejoining=rejoining)
-    start_stream(flight, k)
-
-
-def end_rejoining(flight: FlightState, k: int) -> None:
-    """Note that a vehicle has returned, or has not in time."""
-    rejoining = {j: since for j, since in flight.streams.rejoining.items() if j != k}
-    flight.streams = replace(flight.streams, rejoining=rejoining)
+def continue_rejoining(flight: FlightState) -> None:
+    """Command offboard mode once a stream has run long enough; report which have returned."""
+    for k, since in flight.streams.rejoining.items():
+        vehicle = flight.roster.vehicles[k]
+        waited = flight.now - since
+        if vehicle.in_mode("offboard"):
+            flight.streams.end_rejoining(k)
+            flight.report("rejoin", f"{flight.name(vehicle)} follows again", vehicle)
+            flight.holds.end_vehicle(vehicle.system)
+        elif waited > REJOIN_TIMEOUT:
+            flight.streams.end_rejoining(k)
+            flight.streams.switch(k, on=False)
+            flight.report("rejoin", f"{flight.name(vehicle)} does not rejoin", vehicle)
+        elif waited > STREAM_BEFORE_OFFBOARD:
+            vehicle.set_mode("offboard")
 
 
 def setpoints(flight: FlightState) -> list[Outgoing]:
@@ -73,9 +70,9 @@ def setpoints(flight: FlightState) -> list[Outgoing]:
     if frames is None or flight.stage not in {Stage.EXECUTE, Stage.CONTINGENCY}:
         return []
     state = flight.guidance.state(flight.clock, flight.timing.moving)
-    active, roster = flight.streams.active, flight.roster
+    streams, roster = flight.streams, flight.roster
     packets: list[Outgoing] = []
-    if np.count_nonzero(active):
+    if np.count_nonzero(streams.active):
         # a setpoint stands until the next one comes: aim at the middle of its time
         lead = 0.5 / setup.fleet.rates.setpoint
         held = setup.carries_cable and all(vehicle.gripped for vehicle in roster.vehicles)
@@ -88,14 +85,10 @@ def setpoints(flight: FlightState) -> list[Outgoing]:
             (frames.rotation, frames.translation, setup.lift), states,
         )  # fmt: skip
         packets = flight.team.setpoints(
-            roster.systems, active, flight.now, states, flight.placement.yaw
+            roster.systems, streams.active, flight.now, states, flight.placement.yaw
         )
-    flight.streams = replace(
-        flight.streams,
-        setpoint=state.position,
-        velocity=state.velocity,
-        sent=flight.streams.sent + len(packets),
-    )
+    streams.setpoint, streams.velocity = state.position, state.velocity
+    streams.sent += len(packets)
     return packets
 
 
@@ -121,9 +114,3 @@ def against_drag(flight: FlightState, state: State, adds: Flags) -> Floats:
     against: Floats = state.acceleration.copy()
     against[adds, :2] += drag[adds, None] * state.velocity[adds, :2]
     return against
-
-
-def _set_active(flight: FlightState, k: int, *, active: bool) -> None:
-    changed = flight.streams.active.copy()
-    changed[k] = active
-    flight.streams = replace(flight.streams, active=changed)

@@ -1,4 +1,4 @@
-"""The swing of the cable in flight, estimated from what the vehicles report.
+"""The swing of the cable in flight, estimated from what the vehicles report; and beside the plan's.
 
 The lumped masses of :mod:`swarm.geometry.lumped_mass` hang from the reported grip points, from the
 beginning of the fold, at rest. At the frequencies of strands the errors of reported positions are
@@ -7,12 +7,18 @@ velocities and follow the positions slowly, and droppers lean as their vehicles 
 estimate: wind and downwash on the cable, and the swing that the lift has left.
 """
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.clearances import PlanChecks
+from swarm.certification.excitation import allowed_swing
 from swarm.certification.swing_runs import model_of
+from swarm.certification.swing_tube import SwingTube
+from swarm.flight.trace import Trace
 from swarm.geometry.catenary_kernel import sample_strand
 from swarm.geometry.distance import point_distance
 from swarm.geometry.lumped_mass import Strands, SwingModel
@@ -46,7 +52,7 @@ _STRAIGHT = 0.999
 
 
 @dataclass(frozen=True, eq=False)
-class Reports:
+class GripReports:
     """The reports of n vehicles at the time ``now``, in mission ENU.
 
     ``position`` (n, 3) are grip points below upright vehicles, ``velocity`` (n, 3) theirs, ``lean``
@@ -107,7 +113,7 @@ class SwingEstimator:
         model = model_of(plan)
         return cls(plan.layout.lengths, replace(model, step=model.step / _STEPS))
 
-    def begin(self, reports: Reports) -> Swing:
+    def _begin(self, reports: GripReports) -> Swing:
         """Return the estimate for strands at rest."""
         grips = reports.position + reports.lean
         states = np.full((2, len(self.lengths), self.model.links + 1, 3), np.nan)
@@ -116,11 +122,10 @@ class SwingEstimator:
             self._strays(grips, states)[None],
         )  # fmt: skip
 
-    def follow(self, before: Swing, reports: Reports) -> Swing:
-        """Return the estimate after new reports."""
-        duration = reports.now - before.at
-        if not 0.0 < duration <= _LONGEST:
-            return self.begin(reports)
+    def follow(self, before: Swing | None, reports: GripReports) -> Swing:
+        """Return the estimate after new reports; without one lately, for strands at rest."""
+        if before is None or not 0.0 < (duration := reports.now - before.at) <= _LONGEST:
+            return self._begin(reports)
         share = np.where(reports.fresh, 1.0 - np.exp(-duration / _FOLLOWING), 0.0)[:, None]
         followed = before.followed + 0.5 * duration * (before.velocity + reports.velocity)
         followed += share * (reports.position - followed)
@@ -134,10 +139,10 @@ class SwingEstimator:
         model = replace(self.model, step=step)
         states = Strands.whole_chain(self.lengths, model).swing_on(states, ends, steps)[-1]
         strays = self._strays(grips, states)
-        kept = before.recent[-round(RECENT / INTERVAL) + 1 :]
+        recent = before.recent[-round(RECENT / INTERVAL) + 1 :]
         return Swing(
             reports.now, step, followed, grips, reports.velocity, states,
-            np.concatenate([kept, strays[None]]),
+            np.concatenate([recent, strays[None]]),
         )  # fmt: skip
 
     def _strays(self, grips: Floats, states: Floats) -> Floats:
@@ -192,3 +197,95 @@ def measure_strays(
             for j in range(len(still)):
                 for x in range(3):
                     states[0, s, j, x] = states[1, s, j, x] = still[j, x]
+
+
+@dataclass(frozen=True)
+class LargestStray:
+    """The largest stray that was estimated in a flight, in metres, of a ``segment`` (from 1)."""
+
+    estimated: float
+    segment: int
+    mission_time: float
+
+
+@dataclass(frozen=True)
+class FlownSwing(LargestStray):
+    """The same beside the plan's: ``planned`` is the largest stray of the planned motion,
+    ``allowed`` the largest that tube and budget allow; ``within`` the share of moments at which
+    every strand was estimated within what they allow it then."""
+
+    planned: float
+    allowed: float
+    within: float
+
+    @property
+    def words(self) -> str:
+        """The estimate, the plan, and the tube, in one line."""
+        moments = "all" if self.within == 1.0 else f"{math.floor(100.0 * self.within)} % of the"
+        return (
+            f"estimated up to {self.estimated:.2f} m (segment {self.segment} at "
+            f"{self.mission_time:.1f} s of the plan), {self.planned:.2f} m planned; within what "
+            f"the budget allows, up to {self.allowed:.2f} m, at {moments} moments"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SwingCurves:
+    """Strays of the strands (k, n − 1) in metres at k moments of a flight, which are given in
+    mission ``time`` (k,): estimated, planned, the radii of the tube of all changes of the clock's
+    rate, and what this tube and the budget allow (:mod:`swarm.certification.excitation`)."""
+
+    time: Floats
+    estimated: Floats
+    planned: Floats
+    tube: Floats
+    allowed: Floats
+
+
+def swing_curves(plan: Plan, trace: Trace) -> SwingCurves | None:
+    """Return what was estimated in a flight, planned and allowed; None without an estimate."""
+    known = np.isfinite(trace.stray).all(axis=1) if trace.stray.shape[1] else np.empty(0, np.bool_)
+    tube = PlanChecks.of(plan).tube if known.any() else None
+    if tube is None:
+        return None
+    time = trace.mission_time[known]
+    return SwingCurves(
+        time, trace.stray[known], _planned(tube, time),
+        np.stack([tube.all_changes.strands(moment) for moment in time.tolist()]),
+        allowed_swing(plan, tube, time),
+    )  # fmt: skip
+
+
+def largest_stray(trace: Trace) -> LargestStray | None:
+    """Return the largest stray of a flight; None where none was estimated."""
+    known = np.nan_to_num(trace.stray, nan=-1.0)
+    if not known.size or known.max() < 0.0:
+        return None
+    row, segment = np.unravel_index(int(np.argmax(known)), known.shape)
+    return LargestStray(
+        float(known[row, segment]), int(segment) + 1, float(trace.mission_time[row])
+    )
+
+
+def flown_swing(plan: Plan, trace: Trace) -> FlownSwing | None:
+    """Return the swing of a flight; None where it was not estimated."""
+    largest, curves = largest_stray(trace), swing_curves(plan, trace)
+    if largest is None or curves is None:
+        return None
+    return FlownSwing(
+        **asdict(largest),
+        planned=float(curves.planned.max()),
+        allowed=float(curves.allowed.max()),
+        within=float((curves.estimated <= curves.allowed).all(axis=1).mean()),
+    )
+
+
+def swing_object(swing: LargestStray | None) -> dict[str, Any] | None:
+    """Return the swing of a flight as a JSON-ready object."""
+    return asdict(swing) if swing is not None else None
+
+
+def _planned(tube: SwingTube, time: Floats) -> Floats:
+    nearest = np.abs(tube.times[:, None] - time).argmin(axis=0)
+    strays: Floats = tube.planned[nearest]
+    return strays

@@ -1,7 +1,10 @@
-"""Read a flight's .tlog: positions, setpoints, the mission clock, commands, losses.
+"""Read a flight's .tlog: positions, setpoints, the mission clock, commands, losses; and where an
+interrupted flight broke off.
 
 A .tlog is a sequence of packets, each after its time (eight bytes, microseconds since 1970,
 big-endian). A log that is cut off, or has a gap where a disk was full, is read as far as possible.
+After their ground station has ended, vehicles hold where they stopped, until the fleet's T has
+passed since they last received one; then they land by themselves, together.
 """
 
 import math
@@ -9,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -72,20 +75,27 @@ class CommandLatency:
 
 
 @dataclass(frozen=True, eq=False)
-class Replayed:
-    """The content of a .tlog. ``systems`` are in order along the cable; losses by system id.
+class KnownFrames:
+    """Frames and yaw (n,) in radians of vehicles ``systems``, in order along the cable."""
 
-    ``frames`` and ``yaw`` (n,) in radians are those of the vehicles on their pads. ``started`` is
-    time 0 of the trace, the first packet, in seconds since 1970; ``event_time`` is the same moment
-    on the clock of the record's events.
+    systems: tuple[int, ...]
+    frames: Frames
+    yaw: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Replayed:
+    """The content of a .tlog; losses by system id.
+
+    ``known`` are the vehicles, with their frames on their pads. ``started`` is time 0 of the trace,
+    the first packet, in seconds since 1970; ``event_time`` is the same moment on the clock of the
+    record's events.
     """
 
     trace: Trace
     started: float
     event_time: float
-    systems: tuple[int, ...]
-    frames: Frames
-    yaw: Floats
+    known: KnownFrames
     commands: tuple[CommandLatency, ...]
     received: Mapping[int, int]
     lost: Mapping[int, int]
@@ -133,10 +143,10 @@ def _next(data: bytes, start: int, last: int) -> int:
     at = start
     while True:
         starts = (data.find(magic, at + _STAMP) for magic in (b"\xfd", b"\xfe"))
-        found = [place for place in starts if place >= 0]
-        if not found:
+        starts_at = [place for place in starts if place >= 0]
+        if not starts_at:
             return len(data)
-        at = min(found) - _STAMP
+        at = min(starts_at) - _STAMP
         if abs(int.from_bytes(data[at : at + _STAMP], "big") - last) < _HOUR:
             return at
         at += 1
@@ -210,15 +220,6 @@ class _Content:
             self.latencies.setdefault(command, []).append(now - since)
 
 
-@dataclass(frozen=True, eq=False)
-class KnownFrames:
-    """Frames and yaw (n,) in radians of vehicles ``systems``, in order along the cable."""
-
-    systems: tuple[int, ...]
-    frames: Frames
-    yaw: Floats
-
-
 def frames_document(known: KnownFrames) -> dict[str, Any]:
     """Return frames as plain data for JSON: a resumed flight's log does not determine them."""
     return {
@@ -270,8 +271,8 @@ def replay(data: bytes, plan: Plan, fleet: Fleet, known: KnownFrames | None = No
         last = now
         if last - first > _LONGEST:
             raise InputError(f"the record's flight.tlog is longer than {_LONGEST / 3600.0:g} hours")
-        for one in decoder.feed(packet):
-            content.take(now - first, one)
+        for message in decoder.feed(packet):
+            content.take(now - first, message)
     if math.isnan(first) or not content.clock:
         raise InputError("the record's flight.tlog contains no flight")
     known = known or _frames(content, plan)
@@ -280,9 +281,7 @@ def replay(data: bytes, plan: Plan, fleet: Fleet, known: KnownFrames | None = No
         trace=_trace(content, plan, known.frames, list(known.systems), last - first),
         started=first,
         event_time=content.event_time,
-        systems=known.systems,
-        frames=known.frames,
-        yaw=known.yaw,
+        known=known,
         commands=tuple(_commands(content)),
         received={v.system: v.packets for v in content.vehicles.values()},
         lost={v.system: v.lost_packets for v in content.vehicles.values()},
@@ -353,7 +352,7 @@ def _trace(
         for moment in places:
             moment[:] = frames.points_to_mission(moment) - lift
     number = phase[np.clip(np.searchsorted(phase[:, 0], time, "right") - 1, 0, len(phase) - 1), 1]
-    names = [*(one.name for one in plan.phases), ""]
+    names = [*(part.name for part in plan.phases), ""]
     return Trace(
         time=time,
         mission_time=np.interp(time, clock[:, 0], clock[:, 1]),
@@ -383,11 +382,11 @@ def _sampled(times: Floats, places: Sequence[tuple[float, float, float]], at: Fl
     """Return points (k, 3) at moments, interpolated; NaN where no known one is near."""
     order = np.argsort(times, kind="stable")
     known, points = times[order], np.array(places)[order]
-    found = np.column_stack([np.interp(at, known, points[:, axis]) for axis in range(3)])
+    sampled = np.column_stack([np.interp(at, known, points[:, axis]) for axis in range(3)])
     after = np.searchsorted(known, at)
     before = known[np.clip(after - 1, 0, len(known) - 1)]
-    found[(np.abs(at - before) > _FRESH) | (at < known[0])] = np.nan
-    return found
+    sampled[(np.abs(at - before) > _FRESH) | (at < known[0])] = np.nan
+    return sampled
 
 
 def _commands(content: _Content) -> Iterator[CommandLatency]:
@@ -401,3 +400,42 @@ def _commands(content: _Content) -> Iterator[CommandLatency]:
             float(np.median(latencies)),
             float(latencies.max()),
         )
+
+
+Then = Literal["hold", "continue", "rewind", "land", "release"]
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOff:
+    """Where a flight broke off.
+
+    ``known`` are the vehicles, with their frames; ``mission_time`` is the last recorded one,
+    ``gripped`` says whether the cable was held.
+    """
+
+    known: KnownFrames
+    mission_time: float
+    gate: int
+    gripped: bool
+
+
+def left_off(tlog: bytes, plan: Plan, fleet: Fleet, known: KnownFrames | None = None) -> LeftOff:
+    """Return where a flight broke off, from its .tlog; ``known`` are frames from its record.
+
+    Raises :class:`InputError` where the log does not determine it, or the flight had ended or had
+    not left the ground.
+    """
+    flown = replay(tlog, plan, fleet, known)
+    time, phase = float(flown.trace.mission_time[-1]), flown.trace.phase[-1]
+    if not phase:
+        raise InputError("the team was leaving the plan, or had not begun it: nothing to resume")
+    if time <= 0.0:
+        raise InputError("the team had not left the ground: fly it anew")
+    passed = [gate for gate in plan.gates if gate.time < time - 1e-3]
+    done = {gate.condition for gate in passed}
+    return LeftOff(
+        known=flown.known,
+        mission_time=time,
+        gate=len(passed),
+        gripped="gripped" in done and "released" not in done,
+    )

@@ -25,8 +25,7 @@ from typing import Any, Final
 
 from swarm.child_modules import module_command
 from swarm.errors import Interrupted, SwarmError, VehicleError
-from swarm.flight.clearance import Audit
-from swarm.flight.flight_plan import FlightPlan
+from swarm.flight.flight_plan import Audit, FlightPlan
 from swarm.flight.result import FlightResult
 from swarm.ground.child_process import exit_reason
 from swarm.ground.fly import Caller, FlightCallbacks, FlyOptions, fly

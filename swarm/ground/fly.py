@@ -21,23 +21,20 @@ import numpy as np
 
 from swarm import precompile
 from swarm.errors import InputError, Problem, Refused, SwarmError
-from swarm.flight.adherence import adherence
-from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
 from swarm.flight.fleet_listener import position_quality
-from swarm.flight.flight_plan import ComparisonFlight, FlightPlan, require_tracking
-from swarm.flight.operator import Request
+from swarm.flight.flight_plan import Audit, ComparisonFlight, FlightPlan, go, require_tracking
 from swarm.flight.parameters import (
     plan_requirements,
     required_values,
     stream_loss_findings,
     stream_loss_model,
 )
-from swarm.flight.result import FlightResult
-from swarm.flight.resuming import LeftOff, Then
-from swarm.flight.setup import Options
+from swarm.flight.responding import Request
+from swarm.flight.result import FlightResult, adherence
+from swarm.flight.setup import FlightOptions
 from swarm.flight.snapshot import Event, Snapshot
-from swarm.flight.tlog import ClockEncoder
+from swarm.flight.tlog import ClockEncoder, LeftOff, Then
 from swarm.flight.trace import Trace
 from swarm.flight.world import emulated_world
 from swarm.ground.commissioning.check import Auditor, save_parameters, wanted_fence
@@ -468,7 +465,7 @@ def _refuse_unflyable(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions
 
 
 def _conductor(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions) -> Conductor:
-    setup = Options(no_cable=options.no_cable, error_limit=options.error_limit)
+    setup = FlightOptions(no_cable=options.no_cable, error_limit=options.error_limit)
     conductor = Conductor(flight_plan, fleet, setup, left=options.left, then=options.then)
     if options.left is None:
         require_tracking(conductor.basis, fleet)

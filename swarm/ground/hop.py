@@ -5,8 +5,7 @@ from pathlib import Path
 
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding
-from swarm.flight.flight_plan import CableFreeFlight
-from swarm.flight.hop import (
+from swarm.flight.bench_flight import (
     ERROR_LIMIT,
     HEIGHT,
     HOVER,
@@ -15,6 +14,7 @@ from swarm.flight.hop import (
     hovers,
     tracking_to_plan_with,
 )
+from swarm.flight.flight_plan import CableFreeFlight
 from swarm.ground.fly import FlightCallbacks, FlyOptions, fly
 from swarm.mission.fleet import Fleet
 
@@ -51,7 +51,7 @@ def fly_hop(
     rtcm: str | None = None,
     callbacks: FlightCallbacks | None = None,
 ) -> HopResult:
-    """Fly the hop of a plan, see :func:`swarm.flight.hop.hop`, and return the hover errors.
+    """Fly the hop of a plan, see :mod:`swarm.flight.bench_flight`, and return the hover errors.
 
     The record of the hop goes to ``folder``. ``speed`` is a multiple of real time, for emulated
     fleets only; with the ``world_clock`` of vehicles simulated elsewhere, the hop follows it.

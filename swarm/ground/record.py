@@ -21,12 +21,11 @@ from typing import Any
 import numpy as np
 
 from swarm.errors import InputError, Problem
-from swarm.flight.adherence import adherence_object
 from swarm.flight.archive import certificate_document
 from swarm.flight.flight_plan import Basis, FlightPlan
-from swarm.flight.flown_swing import largest_stray, swing_object
-from swarm.flight.result import FlightResult
+from swarm.flight.result import FlightResult, adherence_object
 from swarm.flight.snapshot import Event
+from swarm.flight.swinging import largest_stray, swing_object
 from swarm.flight.tlog import KnownFrames, frames_document
 from swarm.ground.priority import run_behind_main_thread
 from swarm.mavlink.packets import split_packets

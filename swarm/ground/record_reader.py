@@ -137,13 +137,13 @@ def true_trace(record: Path, flown: Replayed) -> Trace:
     if len(moments) < 2:
         raise InputError([Problem(str(path), "expected the ground truth of an emulated flight")])
     ids = list(moments[0]["ids"])
-    missing = [system for system in flown.systems if system not in ids]
+    missing = [system for system in flown.known.systems if system not in ids]
     if missing:
         message = (
             f"expected vehicles {', '.join(map(str, missing))}, got {', '.join(map(str, ids))}"
         )
         raise InputError([Problem(str(path), message)])
-    rows = [ids.index(system) for system in flown.systems]
+    rows = [ids.index(system) for system in flown.known.systems]
     start, world_start = _clock(record)
     time = np.array([moment["time"] for moment in moments])
     at = time - world_start + start - flown.started

@@ -14,8 +14,8 @@ from typing import Any
 from swarm.certification.assessment import Assessment, assess
 from swarm.errors import InputError, Problem, reason
 from swarm.files import parse_json, read_text
-from swarm.flight.adherence import Adherence, adherence
 from swarm.flight.flight_plan import Basis, confirmed_basis
+from swarm.flight.result import Adherence, adherence
 from swarm.flight.tlog import Replayed
 from swarm.ground.record_reader import recorded_basis, recorded_flight, recorded_plan, true_trace
 from swarm.knots.catalog import choose_knot

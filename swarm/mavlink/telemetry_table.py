@@ -5,7 +5,8 @@ once. :mod:`swarm.mavlink.message_handlers` does the same for single messages, a
 """
 
 import math
-from typing import Protocol
+from collections.abc import Callable
+from typing import Any, Final, Generic, Protocol, TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -16,18 +17,8 @@ from swarm.signatures import Bytes3, Floats1, Floats2, Ints1, Ints2, Shorts2
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Bits = npt.NDArray[np.uint8]
+Flags = npt.NDArray[np.bool_]
 Vector = tuple[float, float, float]
-
-RECEIVED_AT, POSITION_AT, POSITION, VELOCITY, ATTITUDE = 0, 1, 2, 5, 8
-BOOT_TIME, PACKETS, LOST_PACKETS, COMPONENT = 11, 12, 13, 14
-MODE_AT, BATTERY, POSITION_HEALTHY, FIX_TYPE, HEIGHT_DIFFERENCE = 15, 16, 17, 18, 19
-VERTICAL_ACCURACY, GRIPPED, ARMED = 20, 21, 22
-ATTITUDE_TIME, GLOBAL_TIME, FASTEST, FLOW, ASKED_AT = 23, 24, 25, 26, 27
-WIDTH = 28
-"""Columns: times, position and velocity in NED, attitude, boot time of the position in ms, counts,
-the autopilot's component; then what changes rarely, but is observed at every tick; the boot times
-of the attitude and the global position, the smallest difference of clocks, the order of packets,
-and when an unanswered clock request was sent."""
 
 _CLOCK_RANGE, _LONGEST_STEP = 2.0**32, 86.4e6
 """Milliseconds: a boot time begins again at zero after 49.7 days; a step of a day is no step of
@@ -46,6 +37,147 @@ _PUNCTUAL, _DRIFT, _LONGEST_DELAY = 0.06, 0.1, 0.5
 Seconds per second by which clocks of simulators part. Seconds of a delay that may end again; a
 longer one is the link's."""
 _LOCAL_POSITION_NED, _ATTITUDE, _GLOBAL_POSITION_INT = 32, 30, 33
+One = TypeVar("One")
+All = TypeVar("All")
+
+
+class OneVehicle(Protocol):
+    """A vehicle whose reports are the row ``row`` of a table."""
+
+    telemetry: "TelemetryTable"
+    row: int
+
+
+class WholeTeam(Protocol):
+    """The reports of n vehicles at one moment: ``values`` (n, WIDTH)."""
+
+    @property
+    def values(self) -> Floats:
+        """The vehicles' rows of a table."""
+
+    @property
+    def row(self) -> None:
+        """None: of all."""
+
+
+class Field(Generic[One, All]):
+    """A reported number, declared once: its columns, and an attribute of a vehicle and of a team.
+
+    ``unknown`` stands in its ``width`` columns, of which ``column`` is the first, before the first
+    report. ``of_one`` and ``of_all`` turn what stands there, of one vehicle and of n (n, width),
+    into the attribute.
+    """
+
+    def __init__(
+        self,
+        of_one: Callable[[Floats], One],
+        of_all: Callable[[Floats], All],
+        unknown: float = math.nan,
+        width: int = 1,
+    ) -> None:
+        self.column = len(_UNKNOWN)
+        self.columns = self.column if width == 1 else slice(self.column, self.column + width)
+        self._of_one, self._of_all = of_one, of_all
+        _UNKNOWN.extend([unknown] * width)
+
+    @overload
+    def __get__(self, reports: None, owner: type) -> "Field[One, All]": ...
+    @overload
+    def __get__(self, reports: OneVehicle, owner: type) -> One: ...
+    @overload
+    def __get__(self, reports: WholeTeam, owner: type) -> All: ...
+    def __get__(self, reports: Any, owner: type) -> "One | All | Field[One, All]":
+        if reports is None:
+            return self
+        row = reports.row
+        if row is None:
+            return self._of_all(reports.values[:, self.columns])
+        return self._of_one(reports.telemetry.values[row, self.columns])
+
+    def __set__(self, vehicle: OneVehicle, value: One) -> None:
+        vehicle.telemetry.values[vehicle.row, self.columns] = value
+
+
+_UNKNOWN: list[float] = []
+"""What stands in the columns before the first report."""
+
+
+def _same(values: Floats) -> Floats:
+    return values
+
+
+def _vector(values: Floats) -> Vector:
+    first, second, third = values.tolist()
+    return first, second, third
+
+
+def _number(unknown: float = math.nan) -> Field[float, Floats]:
+    return Field(float, _same, unknown)
+
+
+def _whole(unknown: float) -> Field[int, Floats]:
+    return Field(int, _same, unknown)
+
+
+def _flag(unknown: float) -> Field[bool, Flags]:
+    return Field(bool, lambda values: values > 0.0, unknown)
+
+
+class Reports:
+    """What vehicles report, but for their motion: one line for each number.
+
+    Times are the caller's, in seconds; ``boot_ms``, ``attitude_ms`` and ``global_ms`` those of the
+    vehicle's clock in the latest position, attitude and global position. ``fastest`` is the
+    smallest difference of both clocks, ``flow`` the order of packets.
+    """
+
+    received_at = _number(-math.inf)
+    position_at = _number(-math.inf)
+    attitude = Field(_vector, _same, width=3)
+    boot_ms = _whole(-1.0)
+    packets = _whole(0.0)
+    lost_packets = _whole(0.0)
+    component = _whole(1.0)
+    mode_at = _number(-math.inf)
+    battery = _number()
+    position_healthy = _flag(1.0)
+    fix_type = _whole(-1.0)
+    height_difference = _number()
+    vertical_accuracy = _number()
+    gripped = _flag(0.0)
+    armed = _flag(0.0)
+    attitude_ms = _number(-1.0)
+    global_ms = _number(-1.0)
+    fastest = _number(math.inf)
+    flow = _number(DIRECT)
+    asked_at = _number(math.inf)
+
+
+class ReportedMotion:
+    """The latest local position and velocity, in the vehicle's own NED; those of a team are in
+    mission ENU, at the same moment."""
+
+    position = Field(_vector, _same, width=3)
+    velocity = Field(_vector, _same, width=3)
+
+
+RECEIVED_AT: Final = Reports.received_at.column
+POSITION_AT: Final = Reports.position_at.column
+POSITION: Final = ReportedMotion.position.column
+VELOCITY: Final = ReportedMotion.velocity.column
+ATTITUDE: Final = Reports.attitude.column
+BOOT_TIME: Final = Reports.boot_ms.column
+ATTITUDE_TIME: Final = Reports.attitude_ms.column
+GLOBAL_TIME: Final = Reports.global_ms.column
+ASKED_AT: Final = Reports.asked_at.column
+_PACKETS: Final = Reports.packets.column
+_LOST_PACKETS: Final = Reports.lost_packets.column
+_COMPONENT: Final = Reports.component.column
+_FASTEST: Final = Reports.fastest.column
+_FLOW: Final = Reports.flow.column
+WIDTH: Final = len(_UNKNOWN)
+"""Columns for compiled code."""
+
 STAMPED = {
     _LOCAL_POSITION_NED: BOOT_TIME, _ATTITUDE: ATTITUDE_TIME, _GLOBAL_POSITION_INT: GLOBAL_TIME
 }  # fmt: skip
@@ -71,15 +203,7 @@ class TelemetryTable:
     """
 
     def __init__(self, vehicles: int, links: int = 1) -> None:
-        self.values = np.full((vehicles, WIDTH), np.nan)
-        self.values[:, RECEIVED_AT] = self.values[:, POSITION_AT] = -math.inf
-        self.values[:, [BOOT_TIME, ATTITUDE_TIME, GLOBAL_TIME]] = -1.0
-        self.values[:, FASTEST], self.values[:, FLOW] = math.inf, DIRECT
-        self.values[:, ASKED_AT], self.values[:, COMPONENT] = math.inf, 1.0
-        self.values[:, PACKETS] = self.values[:, LOST_PACKETS] = 0.0
-        self.values[:, MODE_AT], self.values[:, FIX_TYPE] = -math.inf, -1.0
-        self.values[:, POSITION_HEALTHY] = 1.0
-        self.values[:, GRIPPED] = self.values[:, ARMED] = 0.0
+        self.values = np.tile(_UNKNOWN, (vehicles, 1))
         self.sequences = np.full((vehicles, links), -1, np.int16)
         self.missing = np.zeros((vehicles, links, 32), np.uint8)
         self.arrived = np.full((vehicles, links), -math.inf)
@@ -99,52 +223,6 @@ class TelemetryTable:
         return single
 
 
-class _HasRow(Protocol):
-    telemetry: TelemetryTable
-    row: int
-
-
-class FloatField:
-    """An attribute that is one number of a row."""
-
-    def __init__(self, column: int) -> None:
-        self._column = column
-
-    def __get__(self, vehicle: _HasRow, owner: type) -> float:
-        return float(vehicle.telemetry.values[vehicle.row, self._column])
-
-    def __set__(self, vehicle: _HasRow, value: float) -> None:
-        vehicle.telemetry.values[vehicle.row, self._column] = value
-
-
-class IntegerField(FloatField):
-    """An attribute that is one whole number of a row."""
-
-    def __get__(self, vehicle: _HasRow, owner: type) -> int:
-        return int(super().__get__(vehicle, owner))
-
-
-class FlagField(FloatField):
-    """An attribute that is true or false in a row."""
-
-    def __get__(self, vehicle: _HasRow, owner: type) -> bool:
-        return bool(super().__get__(vehicle, owner))
-
-
-class VectorField:
-    """An attribute that is three neighbouring numbers of a row."""
-
-    def __init__(self, first: int) -> None:
-        self._columns = slice(first, first + 3)
-
-    def __get__(self, vehicle: _HasRow, owner: type) -> Vector:
-        first, second, third = vehicle.telemetry.values[vehicle.row, self._columns].tolist()
-        return first, second, third
-
-    def __set__(self, vehicle: _HasRow, value: Vector) -> None:
-        vehicle.telemetry.values[vehicle.row, self._columns] = value
-
-
 @compiled
 def count_packet(
     table: TableArrays, k: int, link: int, sequence: int, now: float, fresh: bool
@@ -158,10 +236,10 @@ def count_packet(
     without sequence numbers send zeros.
     """
     values, sequences, missing, arrived = table
-    values[k, PACKETS] += 1.0
+    values[k, _PACKETS] += 1.0
     last, missed = int(sequences[k, link]), missing[k, link]
     if fresh:
-        values[k, RECEIVED_AT], values[k, FLOW] = now, DIRECT
+        values[k, RECEIVED_AT], values[k, _FLOW] = now, DIRECT
         while last >= 0 and _OVERTAKEN <= (sequence - last) & 0xFF < 256 - _FAR:
             last = _withdrawn(values[k], missed, last, sequence)
     restarted = last < 0 or now - arrived[k, link] > _RESTART
@@ -174,22 +252,22 @@ def count_packet(
         arrived[k, link] = now
         sequences[k, link] = sequence
         missed[sequence >> 3] &= 0xFF ^ bit
-        values[k, LOST_PACKETS] += max(gap - 1, 0)
+        values[k, _LOST_PACKETS] += max(gap - 1, 0)
         for back in range(1, gap):
             before = (sequence - back) & 0xFF
             missed[before >> 3] |= 1 << (before & 7)
         if restarted:
-            values[k, FLOW] = DIRECT
+            values[k, _FLOW] = DIRECT
         elif gap > 1 and not fresh:
-            values[k, FLOW] = min(values[k, FLOW], DOUBTED)
-        if values[k, FLOW] != LATE:
+            values[k, _FLOW] = min(values[k, _FLOW], DOUBTED)
+        if values[k, _FLOW] != LATE:
             values[k, RECEIVED_AT] = now
-        return int(values[k, FLOW])
+        return int(values[k, _FLOW])
     if not missed[sequence >> 3] & bit:
         return LATE
     missed[sequence >> 3] &= 0xFF ^ bit
-    values[k, LOST_PACKETS] -= 1.0
-    return int(min(values[k, FLOW], DOUBTED))
+    values[k, _LOST_PACKETS] -= 1.0
+    return int(min(values[k, _FLOW], DOUBTED))
 
 
 @inner
@@ -199,7 +277,7 @@ def _withdrawn(row: Floats, missed: Bits, last: int, sequence: int) -> int:
         bit = 1 << (last & 7)
         if missed[last >> 3] & bit:
             missed[last >> 3] &= 0xFF ^ bit
-            row[LOST_PACKETS] -= 1.0
+            row[_LOST_PACKETS] -= 1.0
         last = (last - 1) & 0xFF
     return last
 
@@ -225,7 +303,7 @@ def take_time(row: Floats1, column: int, boot_ms: float) -> bool:
         row[column] = boot_ms
         return True
     if boot_ms != last and (last - boot_ms) % _CLOCK_RANGE > _OUTDATED:
-        row[FLOW] = LATE
+        row[_FLOW] = LATE
     return False
 
 
@@ -238,10 +316,10 @@ def take_position_time(row: Floats1, boot_ms: float, now: float) -> None:
     """
     apart = now - 1e-3 * boot_ms
     before = row[POSITION_AT]
-    row[FASTEST] = min(apart, row[FASTEST] + _DRIFT * (now - before))
-    late = apart - row[FASTEST]
+    row[_FASTEST] = min(apart, row[_FASTEST] + _DRIFT * (now - before))
+    late = apart - row[_FASTEST]
     if late > _LONGEST_DELAY:
-        row[FASTEST], late = apart, 0.0
+        row[_FASTEST], late = apart, 0.0
     row[POSITION_AT] = now if late < _PUNCTUAL else max(now - late, before + 1e-3)
 
 
@@ -279,7 +357,7 @@ def read_datagrams(
         while at < end:
             close = at + _HEADER + int(data[at + 1])
             number = data[at + 7] | data[at + 8] << 8
-            own, order, boot = data[at + 6] == values[k, COMPONENT], DOUBTED, 0.0
+            own, order, boot = data[at + 6] == values[k, _COMPONENT], DOUBTED, 0.0
             tabular = own and (
                 number == _ATTITUDE or (number == _LOCAL_POSITION_NED and not in_order[k])
             )

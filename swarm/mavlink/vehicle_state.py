@@ -23,32 +23,12 @@ from swarm.mavlink.fence import Fence
 from swarm.mavlink.frames import Origin
 from swarm.mavlink.packets import Message
 from swarm.mavlink.telemetry_table import (
-    ARMED,
-    ASKED_AT,
-    ATTITUDE,
-    BATTERY,
-    BOOT_TIME,
-    COMPONENT,
     DIRECT,
-    FIX_TYPE,
-    GRIPPED,
-    HEIGHT_DIFFERENCE,
     LATE,
-    LOST_PACKETS,
-    MODE_AT,
-    PACKETS,
-    POSITION,
-    POSITION_AT,
-    POSITION_HEALTHY,
-    RECEIVED_AT,
-    VELOCITY,
-    VERTICAL_ACCURACY,
-    FlagField,
-    FloatField,
-    IntegerField,
+    ReportedMotion,
+    Reports,
     TelemetryTable,
     Vector,
-    VectorField,
 )
 
 REQUEST_AFTER = 0.5
@@ -293,7 +273,7 @@ class VehicleEvent:
 
 
 @dataclass
-class VehicleState:
+class VehicleState(Reports, ReportedMotion):
     """The latest reported state of one vehicle, its command queue, its parameters and its fence.
 
     The vehicle is its autopilot: ``component`` is chosen by a HEARTBEAT of an autopilot.
@@ -356,25 +336,6 @@ class VehicleState:
     _doubted: dict[str, object] = field(default_factory=dict)
     _events: list[VehicleEvent] = field(default_factory=list)
     _stopped_streams: set[int] = field(default_factory=set)
-
-    asked_at = FloatField(ASKED_AT)
-    received_at = FloatField(RECEIVED_AT)
-    position_at = FloatField(POSITION_AT)
-    position = VectorField(POSITION)
-    velocity = VectorField(VELOCITY)
-    attitude = VectorField(ATTITUDE)
-    boot_ms = IntegerField(BOOT_TIME)
-    packets = IntegerField(PACKETS)
-    lost_packets = IntegerField(LOST_PACKETS)
-    component = IntegerField(COMPONENT)
-    mode_at = FloatField(MODE_AT)
-    battery = FloatField(BATTERY)
-    position_healthy = FlagField(POSITION_HEALTHY)
-    fix_type = IntegerField(FIX_TYPE)
-    height_difference = FloatField(HEIGHT_DIFFERENCE)
-    vertical_accuracy = FloatField(VERTICAL_ACCURACY)
-    gripped = FlagField(GRIPPED)
-    armed = FlagField(ARMED)
 
     def __post_init__(self) -> None:
         self.commands = CommandQueue(self.system, self.component)

@@ -81,7 +81,7 @@ class ClockLimits:
         """Return mission times (c, k), COURSE_STEP seconds apart, of clocks that change their rate.
 
         Each begins at a time of ``starts`` (c,) with ``rate`` and approaches ``target``, as
-        :class:`swarm.flight.clock.MissionClock` does.
+        :class:`swarm.flight.guidance.MissionClock` does.
         """
         times = np.empty((len(starts), round(duration / COURSE_STEP) + 1))
         times[:, 0] = starts

@@ -6,8 +6,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from swarm.certification.findings import in_common, numbers, of_systems
 from swarm.flight.parameters import ParameterResult
-from swarm.flight.words import in_common, numbers, of_systems
 from swarm.ground.commissioning.check import CheckReport
 from swarm.ground.commissioning.survey import LogDownload
 

@@ -6,9 +6,8 @@ from typing import Any
 
 from swarm.certification.assessment import Assessment
 from swarm.exports import tightest_object
-from swarm.flight.adherence import adherence_object
-from swarm.flight.flown_swing import flown_swing, swing_object
-from swarm.flight.result import FlightResult
+from swarm.flight.result import FlightResult, adherence_object
+from swarm.flight.swinging import flown_swing, swing_object
 from swarm.flight.tlog import Replayed
 from swarm.ground.commissioning.survey import LogDownload
 from swarm.ground.record_verification import VerifiedRecord
@@ -85,7 +84,7 @@ def record_object(verified: VerifiedRecord) -> dict[str, Any]:
 
 def _link_statistics(log: Replayed) -> dict[str, Any]:
     return {
-        "systems": list(log.systems),
+        "systems": list(log.known.systems),
         "commands": [
             {
                 "name": command.name,
@@ -103,7 +102,7 @@ def _link_statistics(log: Replayed) -> dict[str, Any]:
                 "packets_received": log.received[system],
                 "packets_lost": log.lost[system],
             }
-            for system in log.systems
+            for system in log.known.systems
         },
         "damaged_packets": log.damaged,
         "log_notes": list(log.notes),

@@ -16,8 +16,8 @@ from swarm.certification.assessment import Assessment
 from swarm.certification.kinds import FIGURES
 from swarm.certification.swing_runs import aloft, swings
 from swarm.errors import Refused
-from swarm.flight.flown_swing import SwingCurves, swing_curves
 from swarm.flight.snapshot import Event
+from swarm.flight.swinging import SwingCurves, swing_curves
 from swarm.flight.trace import Trace
 from swarm.planning import Plan
 from swarm.reports import plots

@@ -5,9 +5,8 @@ from rich.table import Table
 
 from swarm.certification.assessment import Assessment
 from swarm.certification.kinds import FIGURES
-from swarm.flight.adherence import Adherence
-from swarm.flight.flown_swing import flown_swing
-from swarm.flight.result import FlightResult
+from swarm.flight.result import Adherence, FlightResult
+from swarm.flight.swinging import flown_swing
 from swarm.planning import Plan
 from swarm.reports.findings_text import print_verdict
 from swarm.reports.flight_json import outcome_object

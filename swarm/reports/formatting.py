@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.assessment import rounded_down
+from swarm.certification.findings import numbers
 from swarm.flight.snapshot import Event
-from swarm.flight.words import numbers
 
 ROUTINE_KINDS: Final = frozenset(
     {"discovered", "mode", "armed", "disarmed", "airborne", "landed", "done", "interval", "phase"}

@@ -13,12 +13,10 @@ from sitl.faults import Fault, Scenario, parse_scenario
 from sitl.world import WorldError, parse_world
 from sitl.world import schema as world_schema
 from swarm.errors import InputError, Problem, Refused
-from swarm.flight.adherence import adherence
-from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
-from swarm.flight.flight_plan import FlightPlan
-from swarm.flight.result import FlightResult
-from swarm.flight.setup import Options
+from swarm.flight.flight_plan import FlightPlan, go
+from swarm.flight.result import FlightResult, adherence
+from swarm.flight.setup import FlightOptions
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.world import emulated_world
 from swarm.mission.fleet import Fleet, emulated_fleet
@@ -52,7 +50,7 @@ class Callbacks:
     on_event: Callable[[Event], None] | None = None
 
 
-DEFAULT_OPTIONS: Final = Options()
+DEFAULT_OPTIONS: Final = FlightOptions()
 NO_CALLBACKS: Final = Callbacks()
 
 
@@ -76,7 +74,7 @@ def simulate_flight(
     seed: int = 1,
     world: Mapping[str, Any] | None = None,
     faults: Sequence[Fault] = (),
-    options: Options = DEFAULT_OPTIONS,
+    options: FlightOptions = DEFAULT_OPTIONS,
     callbacks: Callbacks = NO_CALLBACKS,
 ) -> FlightResult:
     """Fly a plan against the emulator in virtual time and return the result.

@@ -10,8 +10,8 @@ import numpy.typing as npt
 import rerun as rr
 
 from swarm.files import replaced
-from swarm.flight.flown_swing import swing_curves
 from swarm.flight.snapshot import Event
+from swarm.flight.swinging import swing_curves
 from swarm.flight.trace import Trace
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.planning import Plan

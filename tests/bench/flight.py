@@ -25,7 +25,6 @@ import tempfile
 import threading
 import time
 from contextlib import suppress
-from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -43,7 +42,6 @@ from rich.console import Console
 from swarm import precompile
 from swarm.flight.conductor import Conductor
 from swarm.flight.stages import Stage
-from swarm.flight.state import Mode
 from swarm.ground.loop import Loop
 from swarm.ground.priority import (
     configure_interpreter,
@@ -158,11 +156,10 @@ def ours(
     def each_tick(now: float) -> None:
         if conductor.stage == "prepare" and all(v.armed for v in conductor.flyers):
             flight = conductor.state
-            flight.placement = replace(flight.placement, frames=shared_frames(count))
-            flight.mode = Mode(Stage.EXECUTE, now)
-            flight.progress = replace(flight.progress, gate=6)
+            flight.placement.frames = shared_frames(count)
+            flight.stage, flight.progress.gate = Stage.EXECUTE, 6
             conductor.clock.time = flight_plan.plan.phase("fold").start
-            flight.streams = replace(flight.streams, active=np.ones(count, dtype=bool))
+            flight.streams.active = np.ones(count, dtype=bool)
         conductor.clock.target = 0.0
         for event in conductor.events():
             record.event(event)

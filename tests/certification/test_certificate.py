@@ -15,16 +15,16 @@ from swarm.certification.certificate import (
 from swarm.certification.clearances import PlanChecks
 from swarm.certification.stream_loss import StreamLossModel, certify_stream_loss
 from swarm.errors import Refused
-from swarm.flight.bench_flight import raised
-from swarm.flight.clearance import Audit, go
+from swarm.flight.bench_flight import hop, raised
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import (
+    Audit,
     CableFreeFlight,
     ComparisonFlight,
     basis_of,
+    go,
     require_tracking,
 )
-from swarm.flight.hop import hop
 from swarm.geometry.motion import Motion
 from swarm.mission.fleet import emulated_fleet
 from swarm.planning import digest

@@ -15,7 +15,7 @@ from swarm.certification.stream_loss import (
     _reachable,
     certify_stream_loss,
 )
-from swarm.flight.clock import MissionClock
+from swarm.flight.guidance import MissionClock
 from swarm.geometry.motion import reverse
 from swarm.planning.clock_limits import ClockLimits, clock_limits
 from tests.certification.synthetic import moving, plan_of

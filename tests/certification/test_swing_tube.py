@@ -29,8 +29,8 @@ from swarm.certification.swing_tube import (
     SwingTube,
     beyond_ordinary,
 )
-from swarm.flight.clock import MissionClock
 from swarm.flight.flight_plan import basis_of
+from swarm.flight.guidance import MissionClock
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import polyline_polyline
 from swarm.geometry.lumped_mass import cable_model, stray, swing

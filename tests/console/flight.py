@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from swarm.flight.conductor import Conductor
-from swarm.flight.operator import REQUESTS
+from swarm.flight.responding import REQUESTS
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.operator import ControlSocket, OperatorConsole
 from swarm.ground.record import Record

@@ -18,13 +18,13 @@ from swarm import planner
 from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.certification.contingency_windows import ContingencyWindows
 from swarm.certification.stream_loss import StreamLossCertificate, StreamLossModel, WorstLoss
-from swarm.flight.modes.contingency import (
+from swarm.flight.contingency import (
     held_by_cable,
     leave_the_plan,
     release_fallen,
     turning_below_cable,
 )
-from swarm.flight.policy import LOSES_A_VEHICLE, TABLE, Response
+from swarm.flight.failures import FailureKind, Response
 from swarm.flight.state import Contingency
 from swarm.mission import mission_for_knot, parse_mission
 from swarm.planning import digest
@@ -272,8 +272,9 @@ def test_a_vehicle_that_does_not_answer_releases_first():
 
 def test_responses_are_those_of_the_team_and_no_vehicle_returns_to_launch():
     assert not any("return" in response or "launch" in response for response in Response)
-    assert {"falling", "disarmed", "rebooted"} <= LOSES_A_VEHICLE
-    assert all(TABLE[kind].irreversible for kind in LOSES_A_VEHICLE)
+    lost = {kind for kind in FailureKind if kind.loses_a_vehicle}
+    assert {"falling", "disarmed", "rebooted"} <= lost
+    assert all(kind.responses.irreversible for kind in lost)
 
 
 def test_the_same_seed_gives_the_same_test_and_its_document_has_all_keys():

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarm.flight.adherence import adherence
 from swarm.flight.flight_plan import basis_of, confirmed_basis
+from swarm.flight.result import adherence
 from swarm.flight.trace import Trace
 from swarm.simulation.loop import simulate_flight
 from tests.network import small_plan

@@ -11,7 +11,7 @@ import sitl.physics.dynamics
 from swarm.flight.bench_flight import RAISED, raised
 from swarm.flight.conductor import Conductor
 from swarm.flight.failures import FailureKind
-from swarm.flight.setup import Options
+from swarm.flight.setup import FlightOptions
 from swarm.front.files import load_mission
 from swarm.mavlink.packets import CURRENT_MODE, Decoder
 from swarm.mission.fleet import emulated_fleet
@@ -41,7 +41,7 @@ def test_vehicles_that_have_flown_fly_again(autopilots):
     """PX4 is back in offboard mode then, in which it cannot be armed without a stream."""
     flight = network(autopilots, frame="pads")
     assert flight.run().word == "done"
-    flight.conductor = Conductor(PLAN, flight.fleet, Options(no_cable=True))
+    flight.conductor = Conductor(PLAN, flight.fleet, FlightOptions(no_cable=True))
     assert flight.run(most=150.0).word == "done", flight.words()[-8:]
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from swarm.certification.findings import Finding
 from swarm.errors import Refused
-from swarm.flight.clearance import Audit, go
-from swarm.flight.modes import contingency
+from swarm.flight import contingency
+from swarm.flight.flight_plan import Audit, go
 from tests.network import small_plan
 
 PLAN = small_plan(vehicles=3)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from swarm.flight import execute
 from swarm.flight.detect import (
     LARGEST_STEP,
     HealthDetector,
@@ -19,7 +20,6 @@ from swarm.flight.detect import (
 )
 from swarm.flight.estimation import Measured
 from swarm.flight.failures import OPERATOR, Failure, FailureKind, Latch, Recovery
-from swarm.flight.modes import execute
 from swarm.flight.observation import Expected, Observation
 from swarm.flight.router import answer_limit, timesync_interval
 from swarm.flight.stages import Stage
@@ -41,17 +41,15 @@ def seen(now=10.0, at=None, position=PLACES, velocity=None, boot=None, **fields)
     reported_at = np.full(3, now if at is None else at)
     numbers = np.array([reported_at, np.zeros(3), reported_at if boot is None else boot])
     table = np.zeros((3, WIDTH))
-    table[:, 0] = now
     values = {
-        "heard_at": np.full(3, now), "asked_at": np.full(3, np.inf), "position_at": np.full(3, now), "mode_at": np.full(3, now),
-        "attitude": np.zeros((3, 3)), "battery": np.full(3, 0.9), "located": np.full(3, True),
-        "fix": np.full(3, 3), "height_gap": np.zeros(3), "height_accuracy": np.full(3, 0.1),
-        "gripped": np.full(3, True), "armed": np.full(3, True),
+        "received_at": now, "asked_at": np.inf, "position_at": now, "mode_at": now, "attitude": 0.0,
+        "battery": 0.9, "position_healthy": True, "fix_type": 3, "height_difference": 0.0,
+        "vertical_accuracy": 0.1, "gripped": True, "armed": True,
     }  # fmt: skip
-    return Observation(
-        now, ("vehicle 1", "vehicle 2", "vehicle 3"), table, np.arange(3),
-        Measured(places, numbers), **(values | fields),
-    )  # fmt: skip
+    for name, value in (values | fields).items():
+        table[:, getattr(Observation, name).columns] = value
+    names = ("vehicle 1", "vehicle 2", "vehicle 3")
+    return Observation.of(now, names, table, np.arange(3), Measured(places, numbers))
 
 
 def expected(**fields) -> Expected:
@@ -82,8 +80,8 @@ def test_a_calm_team_shows_no_failure():
 def test_a_vehicle_is_silent_once_and_is_received_again_with_its_mode():
     links = LinkDetector(LIMITS, Latch())
     silent = np.array([10.0, 10.0 - LIMITS.silence - 0.1, 10.0])
-    assert kinds(links.detect(seen(heard_at=silent), expected())) == [FailureKind.SILENT]
-    assert links.detect(seen(heard_at=silent), expected()) == []
+    assert kinds(links.detect(seen(received_at=silent), expected())) == [FailureKind.SILENT]
+    assert links.detect(seen(received_at=silent), expected()) == []
     unknown = seen(mode_at=np.array([10.0, 5.0, 10.0]))
     assert links.detect(unknown, expected()) == []
     (recovery,) = links.detect(seen(), expected())
@@ -105,7 +103,7 @@ def test_a_vehicle_that_does_not_answer_is_silent_until_it_does():
     unheard = np.array([10.0, 9.4, 10.0])
     assert (
         LinkDetector(LIMITS, Latch()).detect(
-            seen(asked_at=np.array([np.inf, 9.41, np.inf]), heard_at=unheard), expected()
+            seen(asked_at=np.array([np.inf, 9.41, np.inf]), received_at=unheard), expected()
         )
         == []
     )
@@ -173,7 +171,7 @@ def test_the_neighbour_that_a_silent_vehicle_pulls_down_has_not_fallen():
     motion.detect(seen(10.0), expected())
     down = np.array([[0.0, 0.0, -2.0], [0, 0, 0], [0, 0, 0]])
     heard = np.array([10.1, 9.0, 10.1])
-    (failure,) = motion.detect(seen(10.1, velocity=down, heard_at=heard), expected())
+    (failure,) = motion.detect(seen(10.1, velocity=down, received_at=heard), expected())
     assert (failure.kind, failure.vehicle) == (FailureKind.FALLEN_SILENT, 1)
 
 
@@ -186,7 +184,7 @@ def flown(motion, moments, **fields) -> list[tuple[float, FailureKind, int]]:
     found = []
     for now, velocity, attitude, heard, gripped in moments:
         one = seen(
-            now, velocity=velocity, attitude=attitude, heard_at=np.array([now, heard, now]),
+            now, velocity=velocity, attitude=attitude, received_at=np.array([now, heard, now]),
             gripped=np.array(gripped),
         )  # fmt: skip
         found += [
@@ -200,7 +198,7 @@ def flown(motion, moments, **fields) -> list[tuple[float, FailureKind, int]]:
 def test_a_silent_vehicle_that_pulls_its_neighbour_aside_has_fallen(degrees, found):
     attitude = np.zeros((3, 3))
     attitude[2, 1] = -np.radians(degrees)
-    silent = seen(attitude=attitude, heard_at=np.array([10.0, 9.4, 10.0]))
+    silent = seen(attitude=attitude, received_at=np.array([10.0, 9.4, 10.0]))
     assert kinds(LinkDetector(LIMITS, Latch()).detect(silent, expected())) == found
 
 
@@ -353,7 +351,7 @@ def test_a_height_that_is_set_anew_after_disarming_is_no_drift(armed, found):
     detector = HeightDetector(3, Latch())
     assert not detector.detect(seen(now=10.0), expected())
     motors = np.array([True, armed, True])
-    moved = seen(now=12.0, height_gap=np.array([0.0, 2.0, 0.0]), armed=motors)
+    moved = seen(now=12.0, height_difference=np.array([0.0, 2.0, 0.0]), armed=motors)
     assert len(detector.detect(moved, expected())) == found
 
 
@@ -363,7 +361,9 @@ def test_a_height_that_drifts_on_is_corrected_again_and_again(rate):
     for now in np.arange(10.0, 40.0, 0.5).tolist():
         drift = rate * (now - 10.0)
         gap, armed = np.array([0.02, -drift, -0.01]), np.full(3, True)
-        for failure in detector.detect(seen(now=now, height_gap=gap, armed=armed), expected()):
+        for failure in detector.detect(
+            seen(now=now, height_difference=gap, armed=armed), expected()
+        ):
             assert failure.vehicle == 1
             assert failure.known == (corrected != 0.0)
             detector.follow_frame(1, failure.jump, failure.kind)
@@ -377,6 +377,6 @@ def test_a_height_that_drifts_after_the_command_to_land_is_no_failure(commanded)
     # a real PX4 whose estimate sank by 1.2 m on the ground, in the four seconds before it disarmed
     detector = HeightDetector(3, Latch())
     assert not detector.detect(seen(now=10.0), expected())
-    moved = seen(now=12.0, height_gap=np.array([0.0, 1.2, 0.0]))
+    moved = seen(now=12.0, height_difference=np.array([0.0, 1.2, 0.0]))
     found = detector.detect(moved, expected(may_land=np.full(3, commanded)))
     assert len(found) == (not commanded)

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from sitl.faults import Fault
-from swarm.flight.setup import Options
+from swarm.flight.setup import FlightOptions
 from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.fault_injection.stepped_simulation import (
     SteppedSimulation,
@@ -41,7 +41,7 @@ def test_a_clock_at_standstill_for_lack_of_clearance_is_reported_and_ends_in_lan
 
 
 def test_an_open_loop_flight_keeps_its_pace():
-    result = simulate_flight(TOO_NEAR, options=Options(open_loop=True))
+    result = simulate_flight(TOO_NEAR, options=FlightOptions(open_loop=True))
     assert result.outcome.word == "done"
     assert not [event for event in result.events if event.kind in {"failure", "hold"}]
 

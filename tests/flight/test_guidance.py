@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm.flight.clock import MissionClock
-from swarm.flight.guidance import Guidance, Sampler
+from swarm.flight.guidance import Guidance, MissionClock, Sampler
 from swarm.geometry.motion import concatenate, leg, through_states
 from swarm.planning.clock_limits import ORDINARY, ClockLimits, clock_limits
 

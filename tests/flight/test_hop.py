@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from swarm.errors import Refused
-from swarm.flight.hop import (
+from swarm.flight.bench_flight import (
     ERROR_LIMIT,
     HOVER,
     SPREAD,
@@ -17,7 +17,7 @@ from swarm.flight.hop import (
     tracking_to_plan_with,
 )
 from swarm.flight.result import FlightResult
-from swarm.flight.setup import Options
+from swarm.flight.setup import FlightOptions
 from swarm.flight.trace import Trace
 from swarm.flight.world import emulated_world
 from swarm.mission.fleet import emulated_fleet
@@ -28,7 +28,7 @@ PLAN = small_plan(vehicles=9)
 LIKE_SIH = 0.6
 """m/s² of disturbance with which emulated PX4 vehicles hover as nine of 1.16 were recorded to."""
 
-OPTIONS = Options(no_cable=True, error_limit=ERROR_LIMIT)
+OPTIONS = FlightOptions(no_cable=True, error_limit=ERROR_LIMIT)
 
 
 def flown(

@@ -7,8 +7,8 @@ import pytest
 from sitl.autopilots.ardupilot import PARAMETERS as ARDUPILOT_PARAMETERS
 from sitl.autopilots.px4 import PARAMETERS as PX4_PARAMETERS
 from swarm.certification.stream_loss import StreamLossModel
-from swarm.flight.clearance import Audit, go
 from swarm.flight.conductor import Conductor
+from swarm.flight.flight_plan import Audit, go
 from swarm.flight.parameters import (
     evaluate,
     fleet_requirements,
@@ -18,7 +18,6 @@ from swarm.flight.parameters import (
     stream_loss_model,
 )
 from swarm.flight.stages import Stage
-from swarm.flight.state import Mode
 from swarm.mission import Vehicles
 from swarm.mission.fleet import emulated_fleet
 from tests.network import small_plan
@@ -189,10 +188,10 @@ def test_the_flight_keeps_the_pace_that_the_audited_vehicles_allow():
         flight_plan.plan, StreamLossModel((0.1, 0.5, 0.5), FLEET.limits.silence)
     )
     conductor = Conductor(flight_plan, FLEET)
-    assert conductor.stream_loss.model == StreamLossModel(silence=FLEET.limits.silence)
-    conductor.state.mode = Mode(Stage.READY)
+    assert conductor.state.stream_loss.model == StreamLossModel(silence=FLEET.limits.silence)
+    conductor.state.stage = Stage.READY
     conductor.start(go(flight_plan, Audit((1, 2, 3), (), known)))
-    assert conductor.stream_loss is known
+    assert conductor.state.stream_loss is known
 
 
 def test_the_common_pace_of_landing_is_one_that_both_autopilots_document():

@@ -5,28 +5,26 @@ failure without a row, a response or an end without a check fails here.
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from swarm.certification.contingency_windows import ContingencyWindows
-from swarm.flight.failures import Failure, FailureKind, HoldCause
-from swarm.flight.modes import contingency
-from swarm.flight.modes.contingency import LONGEST_HOVER
-from swarm.flight.policy import (
+from swarm.flight import contingency
+from swarm.flight.contingency import LONGEST_HOVER
+from swarm.flight.failures import (
     ENDS,
-    LOSES_A_VEHICLE,
-    TABLE,
-    Cell,
     End,
+    Failure,
+    FailureKind,
+    HoldCause,
     Response,
     Windows,
-    cells,
-    response_to,
-    rows,
+    response_rows,
 )
 from swarm.flight.responding import respond
 from swarm.flight.stages import Stage, Step
@@ -35,6 +33,26 @@ from swarm.simulation.fault_injection.stepped_simulation import branch, lasting
 from tests.network import Network, small_plan
 
 PLAN = small_plan(vehicles=5)
+
+
+class Cell(NamedTuple):
+    """One cell of the whole table."""
+
+    failure: FailureKind
+    stage: Stage
+    windows: Windows
+    response: Response
+    end: End
+
+
+def cells(kind: FailureKind) -> Iterator[Cell]:
+    """The responses to a failure: stage in flight × open windows."""
+    for stage in (Stage.EXECUTE, Stage.CONTINGENCY):
+        response = kind.response(stage)
+        for windows in Windows:
+            yield Cell(kind, stage, windows, response, ENDS[response][windows])
+
+
 VICTIM, NEIGHBOURS, FAR = 1, {0, 2}, {3, 4}
 WORDS = "for the test"
 GOLDENS = Path(__file__).parents[1] / "golden" / "failures"
@@ -146,16 +164,12 @@ CHECKS: dict[End, Callable[[FlightState, Cell], None]] = {
 
 @pytest.mark.parametrize("kind", FailureKind)
 def test_the_team_responds_as_every_cell_of_the_table_says(folding, kind):
-    mine = [cell for cell in cells() if cell.failure is kind]
-    assert {(cell.stage, cell.windows) for cell in mine} == {
-        (stage, windows) for stage in (Stage.EXECUTE, Stage.CONTINGENCY) for windows in Windows
-    }
-    for cell in mine:
+    for cell in cells(kind):
         flight = standing(folding, cell.windows, cell.stage)
         respond(flight, Failure(kind, WORDS, VICTIM))
-        assert (flight.ending.failure == WORDS) == TABLE[kind].irreversible, cell
+        assert (flight.ending.failure == WORDS) == kind.responses.irreversible, cell
         assert bool(flight.streams.active[VICTIM]) == (
-            not TABLE[kind].ends_stream and cell.response is not Response.RELEASE_FALLEN
+            not kind.responses.ends_stream and cell.response is not Response.RELEASE_FALLEN
         ), cell
         if cell.end not in {End.GO_ON, End.HOLD}:
             stopped = flight.clock.time
@@ -192,7 +206,7 @@ def test_a_second_report_makes_no_response_to_a_fall_less_safe(folding, kind, an
                 assert later.contingency.target is None, case
                 assert VICTIM in later.streams.fallen, case
                 assert later.ending.failure == WORDS
-                if kind in LOSES_A_VEHICLE:
+                if kind.loses_a_vehicle:
                     near = {second - 1, second, min(second + 1, 4)}
                     assert not holding(later) & near, case
                     open_ = windows in {Windows.BOTH, Windows.RELEASE}
@@ -223,23 +237,21 @@ def test_the_failure_for_which_the_team_already_holds_is_the_first_cause(folding
 
 
 def test_the_table_is_complete():
-    assert set(TABLE) == set(FailureKind)
     assert set(ENDS) == set(Response)
     assert all(set(ends) == set(Windows) for ends in ENDS.values())
     assert set(CHECKS) == set(End)
-    assert len(list(cells())) == len(FailureKind) * 2 * len(Windows)
-    assert len(rows()) == 1 + 2 * len(FailureKind)
+    assert len(response_rows()) == 1 + 2 * len(FailureKind)
 
 
 def test_before_the_flight_every_failure_is_only_reported():
     for stage in (Stage.PREPARE, Stage.READY, Stage.RESUME, Stage.FINISHED):
-        assert {response_to(kind, stage) for kind in FailureKind} == {Response.REPORT}
+        assert {kind.response(stage) for kind in FailureKind} == {Response.REPORT}
 
 
 def test_no_response_returns_to_launch_and_a_fall_is_irreversible():
     words = " ".join([*Response, *End])
     assert not re.search(r"return|launch|home", words)
-    assert all(TABLE[kind].irreversible for kind in LOSES_A_VEHICLE)
+    assert all(kind.responses.irreversible for kind in FailureKind if kind.loses_a_vehicle)
 
 
 ELSEWHERE = {

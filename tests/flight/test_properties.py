@@ -4,6 +4,7 @@ Faults, losses, false reports and operators' commands come at any time of a whol
 packet that goes out is read, and every tick's state is compared with the plan.
 """
 
+from copy import copy
 from functools import cache
 
 import numpy as np
@@ -13,10 +14,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 from pymavlink.dialects.v20 import common
 
-from swarm.flight.failures import FailureKind
-from swarm.flight.modes.contingency import GIVE_UP
-from swarm.flight.operator import REQUESTS
-from swarm.flight.policy import TABLE, Response
+from swarm.flight.contingency import GIVE_UP
+from swarm.flight.failures import FailureKind, Response
+from swarm.flight.responding import REQUESTS
 from swarm.flight.stages import STEP_TRANSITIONS, TRANSITIONS, Stage, Step
 from swarm.mavlink.packets import Decoder, Encoder
 from swarm.simulation.fault_injection import FAILURE_CASES
@@ -49,7 +49,7 @@ class Watched(SteppedSimulation):
         self.decoder, self.killed = Decoder(), False
         self.left_plan, self.failures = False, set()
         self.joined = set(range(3))
-        self.before = self.state.streams
+        self.before = copy(self.state.streams)
 
     @property
     def state(self):
@@ -109,7 +109,7 @@ class Watched(SteppedSimulation):
     def check_setpoints(self):
         flight, before = self.state, self.before
         streams, plan = flight.streams, PLAN.plan
-        self.before = streams
+        self.before = copy(streams)
         self.joined |= set(streams.rejoining)
         if flight.stage is Stage.EXECUTE:
             planned = plan.motion.at(flight.clock.time)[0]
@@ -132,9 +132,9 @@ class Watched(SteppedSimulation):
         for event in events:
             if event.kind == "failure":
                 self.failures.add(FailureKind(event.message.partition(":")[0]))
-        irreversible = {kind for kind in self.failures if TABLE[kind].irreversible}
+        irreversible = {kind for kind in self.failures if kind.responses.irreversible}
         assert bool(irreversible) <= (flight.ending.failure is not None)
-        beyond_hold = {k for k in self.failures if TABLE[k].execute is not Response.HOLD}
+        beyond_hold = {k for k in self.failures if k.responses.execute is not Response.HOLD}
         if beyond_hold:
             assert flight.stage in {Stage.CONTINGENCY, Stage.FINISHED}, "the flight goes on"
         if flight.ending.outcome is not None and flight.ending.failure is not None:

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from sitl.faults import Fault
 from swarm.errors import Refused
-from swarm.flight.preparation import STANDING_TIME
-from swarm.flight.readiness import assigned, levelled, rough_frames
+from swarm.flight.preparation import STANDING_TIME, assigned, levelled, rough_frames
 from swarm.mavlink.autopilots import PX4
 from swarm.mavlink.frames import Origin, from_mission, to_local
 from swarm.mavlink.vehicle import Vehicle

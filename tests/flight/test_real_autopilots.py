@@ -6,7 +6,7 @@ from functools import cache
 import pytest
 from pymavlink.dialects.v20 import common
 
-from swarm.flight.readiness import readiness
+from swarm.flight.preparation import readiness
 from swarm.mavlink.packets import Decoder
 from swarm.mavlink.signing import Signing
 from swarm.mavlink.vehicle import Vehicle

@@ -10,9 +10,8 @@ from swarm.errors import InputError, Refused
 from swarm.flight.archive import certificate_document, read_certificate
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import ResumedFlight
-from swarm.flight.resuming import left_off
-from swarm.flight.setup import Options
-from swarm.flight.tlog import ClockEncoder, frames_document, read_frames, replay
+from swarm.flight.setup import FlightOptions
+from swarm.flight.tlog import ClockEncoder, frames_document, left_off, read_frames, replay
 from swarm.ground.record import Record
 from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.fault_injection.stepped_simulation import set_audited_parameters
@@ -84,7 +83,7 @@ def taken_up(flight, left, then):
     basis, found = read_certificate(json.loads(json.dumps(document)))
     resumed = ResumedFlight(PLAN.plan, basis, found)
     flight.conductor = Conductor(
-        resumed, flight.fleet, Options(no_cable=not basis.cable), left=left, then=then
+        resumed, flight.fleet, FlightOptions(no_cable=not basis.cable), left=left, then=then
     )
     flight.uplink = lambda *_: True
     flight.downlink = lambda *_: True
@@ -178,8 +177,8 @@ def test_a_resumed_flight_is_replayed_in_the_frames_of_its_record():
     flight, left = broken_off(("px4",), 3.0, 3.0)
     document = json.loads(json.dumps(frames_document(left.known)))
     known = read_frames(document, PLAN.plan)
-    assert known.systems == left.systems
-    assert np.array_equal(known.frames.translation, left.frames.translation)
+    assert known.systems == left.known.systems
+    assert np.array_equal(known.frames.translation, left.known.frames.translation)
     for wrong in ({}, {**document, "yaw": [0.0]}, {**document, "rotation": None}):
         with pytest.raises(InputError, match="the record's frames cannot be read"):
             read_frames(wrong, PLAN.plan)

@@ -13,8 +13,15 @@ from sitl.world import CableSpec
 from swarm.certification.clearances import PlanChecks
 from swarm.certification.excitation import allowed_swing, modes, variances_along
 from swarm.certification.monitor import SLOWEST, Monitor
-from swarm.flight.flown_swing import flown_swing, largest_stray
-from swarm.flight.swinging import RECENT, Reports, Swing, SwingEstimator, lean
+from swarm.flight.swinging import (
+    RECENT,
+    GripReports,
+    Swing,
+    SwingEstimator,
+    flown_swing,
+    largest_stray,
+    lean,
+)
 from swarm.geometry.catenary import STANDARD_GRAVITY, solve_catenaries
 from swarm.geometry.chain import polyline
 from swarm.geometry.lumped_mass import cable_model
@@ -27,10 +34,12 @@ EVERY = round(0.1 / STEP)
 """Steps of the emulator between two reports."""
 
 
-def reports(now: float, place: np.ndarray, velocity: np.ndarray | None = None, **other) -> Reports:
+def reports(
+    now: float, place: np.ndarray, velocity: np.ndarray | None = None, **other
+) -> GripReports:
     still = np.zeros_like(place)
     given = {"lean": still, "fresh": np.ones(len(place), dtype=bool), **other}
-    return Reports(now, place, still if velocity is None else velocity, **given)
+    return GripReports(now, place, still if velocity is None else velocity, **given)
 
 
 def moved(places: np.ndarray, vehicle: int, east: float) -> np.ndarray:
@@ -40,7 +49,7 @@ def moved(places: np.ndarray, vehicle: int, east: float) -> np.ndarray:
 
 
 def test_a_cable_at_rest_does_not_swing():
-    swing = ESTIMATOR.begin(reports(0.0, LINE))
+    swing = ESTIMATOR.follow(None, reports(0.0, LINE))
     for k in range(1, 60):
         swing = ESTIMATOR.follow(swing, reports(0.1 * k, LINE))
     assert len(swing.recent) == round(RECENT / 0.1)
@@ -89,7 +98,7 @@ def _swung(estimator: SwingEstimator, *, leaning: bool) -> tuple[np.ndarray, np.
             error += -error * 0.1 / 4.0 + rng.normal(0.0, 0.0034, LINE.shape)
             tilt = swept if leaning else np.zeros_like(swept)
             given = reports(now, LINE + aside + error, velocity, lean=tilt)
-            swing = estimator.begin(given) if swing is None else estimator.follow(swing, given)
+            swing = estimator.follow(swing, given)
             rope.update(grips, 0.0)
             true.append(_true_strays(rope, grips))
             found.append(swing.stray)
@@ -119,7 +128,7 @@ def test_droppers_lean_with_their_vehicles():
 
 
 def test_a_silent_vehicle_moves_as_commanded_and_a_jump_does_not_swing():
-    swing = ESTIMATOR.begin(reports(0.0, LINE))
+    swing = ESTIMATOR.follow(None, reports(0.0, LINE))
     stale = np.array([True, False, True, True])
     old = moved(LINE, 1, 3.0)
     for k in range(1, 20):
@@ -133,7 +142,7 @@ def test_a_silent_vehicle_moves_as_commanded_and_a_jump_does_not_swing():
 
 
 def test_the_estimate_begins_again_after_a_gap_and_after_a_straight_strand():
-    swing = ESTIMATOR.begin(reports(0.0, LINE))
+    swing = ESTIMATOR.follow(None, reports(0.0, LINE))
     swing = ESTIMATOR.follow(swing, reports(5.0, LINE + 1.0))
     assert swing.recent.shape == (1, 3)
     assert swing.grips == pytest.approx(LINE + 1.0)

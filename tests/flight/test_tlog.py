@@ -58,7 +58,7 @@ def flown():
 def test_positions_setpoints_clock_and_phases_come_back(flown):
     data, flight, fleet = flown
     again, known = replay(data, PLAN.plan, fleet), flight.conductor.trace()
-    assert again.systems == (1, 2, 3)
+    assert again.known.systems == (1, 2, 3)
     assert again.damaged == 0
     offset = next(now for now, packet in packets(data) if packet) - BEGAN
     for phase in ("fold", "hold"):

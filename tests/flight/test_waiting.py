@@ -2,7 +2,6 @@
 
 import pytest
 
-from swarm.flight.progress import error_too_large
 from swarm.mission.fleet import emulated_fleet
 from tests.network import Network, small_plan
 
@@ -65,8 +64,7 @@ def test_a_hold_has_its_cause_and_the_time_until_the_landing():
 def test_a_rewind_ends_where_errors_were_large_and_says_so():
     flight = network()
     flight.until_phase("fold", 3.0)
-    error_too_large(flight.conductor.state)
-    limit = flight.conductor.clock.time
+    limit = flight.conductor.state.progress.error_kept_since = flight.conductor.clock.time
     flight.until_time(3.0)
     why = "tracking errors were too large there"
     assert flight.conductor.request("rewind") == (

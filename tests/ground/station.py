@@ -10,12 +10,10 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import common
 
-from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
-from swarm.flight.flight_plan import ResumedFlight
-from swarm.flight.resuming import left_off
+from swarm.flight.flight_plan import ResumedFlight, go
 from swarm.flight.router import Outgoing
-from swarm.flight.tlog import ClockEncoder
+from swarm.flight.tlog import ClockEncoder, left_off
 from swarm.ground.loop import Loop
 from swarm.ground.record import Record
 from swarm.ground.record_reader import recorded_certificate, recorded_plan

@@ -15,7 +15,7 @@ import pytest
 from pymavlink import mavutil
 
 from swarm.errors import InputError, VehicleError
-from swarm.flight.flown_swing import largest_stray
+from swarm.flight.swinging import largest_stray
 from swarm.flight.world import emulated_world
 from swarm.ground.emulator import EmulatorProcess, RealFirmware
 from swarm.ground.fly import FlightCallbacks, FlyOptions, fly
@@ -172,7 +172,7 @@ def test_after_sigkill_only_the_last_second_of_the_record_is_missing(tmp_path):
     assert killed - began - flown < 1.0
     plan = recorded_plan(folder)
     again = recorded_flight(folder, plan)
-    assert again.systems == (1, 2, 3)
+    assert again.known.systems == (1, 2, 3)
     assert again.trace.time[-1] == pytest.approx(last._timestamp - first._timestamp, abs=0.2)
     assert verify_trace(plan, again.trace).knot in {"unknown", "0_1"}
 

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from swarm.cli.check import _plan_finding, _write_measured
-from swarm.flight.hop import HOVER, hop
+from swarm.flight.bench_flight import HOVER, hop
 from swarm.ground.fly import FlightCallbacks
 from swarm.ground.hop import fly_hop
 from swarm.mission.fleet import emulated_fleet, parse_fleet

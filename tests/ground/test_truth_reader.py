@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from swarm.errors import InputError
-from swarm.flight.tlog import Replayed
+from swarm.flight.tlog import KnownFrames, Replayed
 from swarm.flight.trace import Trace
 from swarm.ground.record_reader import true_trace
 from swarm.mavlink.frames import Frames
@@ -20,7 +20,9 @@ def flown(systems=(1, 2)):
     n, time = len(systems), np.array([0.0, 1.0, 2.0, 3.0])
     trace = Trace(time, time, np.zeros((4, n, 3)), np.ones((4, n, 3)), ("fold",) * 4)
     frames = Frames(np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)))
-    return Replayed(trace, START + 3.0, 0.0, systems, frames, np.zeros(n), (), {}, {}, 0)
+    return Replayed(
+        trace, START + 3.0, 0.0, KnownFrames(systems, frames, np.zeros(n)), (), {}, {}, 0
+    )
 
 
 def recorded(folder, lines):

@@ -10,7 +10,7 @@ from swarm.certification.assessment import Assessment, rounded_down
 from swarm.certification.clearances import Robustness
 from swarm.certification.distances import Tightest
 from swarm.certification.findings import Finding
-from swarm.flight.operator import REQUESTS
+from swarm.flight.responding import REQUESTS
 from swarm.flight.snapshot import Event
 from swarm.reports.formatting import clock, log_level, metres, seconds, worst_vehicles
 from swarm.reports.plan_summary import print_plan_summary

@@ -32,8 +32,7 @@ from swarm.flight.parameters import (
     stream_loss_findings,
     stream_loss_model,
 )
-from swarm.flight.preparation import GATHERING, Prepared
-from swarm.flight.readiness import mission_fence
+from swarm.flight.preparation import GATHERING, Prepared, mission_fence
 from swarm.ground.commissioning.mavsdk_client import VehicleReport, vehicle_reports
 from swarm.ground.commissioning.survey import Survey, open_survey
 from swarm.ground.relay import Relay

@@ -7,8 +7,7 @@ from typing import Final
 import numpy as np
 
 from swarm.certification.monitor import Monitor
-from swarm.flight.failures import FailureKind
-from swarm.flight.policy import Response
+from swarm.flight.failures import FailureKind, Response
 from swarm.flight.snapshot import Event
 from swarm.simulation.fault_injection.failure_cases import FailureCase
 from swarm.simulation.fault_injection.stepped_simulation import SteppedSimulation
@@ -251,7 +250,7 @@ def _landed_alone_outside_window(
     alone = trial.end == "landed by failsafe" or FailureKind.LANDING_ALONE.value in trial.response
     state = flight.conductor.state
     lost = state.clock.time
-    coast_time = flight.conductor.stream_loss.model.overrun(flight.flight_plan.plan).coast_time
+    coast_time = state.stream_loss.model.overrun(flight.flight_plan.plan).coast_time
     whole_team = case.whole_team or case.station_fault is not None
     stopped = lost + float(coast_time.max() if whole_team else coast_time[trial.vehicle - 1])
     can_land = state.setup.windows.can_land

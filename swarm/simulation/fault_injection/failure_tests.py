@@ -247,7 +247,7 @@ def fly_fault_trial(flight: SteppedSimulation, case: FailureCase, vehicle: int) 
         monitor.sample(detected=case.slows_clock and slowed_after is not None)
         if case.pilot_lands and conductor.stage == "contingency":
             flight.land_by_pilot(conductor.flyers[vehicle].system)
-        usual_rate = min(0.9, rate, conductor.stream_loss.rate_limit(conductor.clock.time))
+        usual_rate = min(0.9, rate, conductor.state.stream_loss.rate_limit(conductor.clock.time))
         if slowed_after is None and abs(conductor.clock.rate) < _SLOWED * usual_rate:
             slowed_after = flight.now - began
         if conductor.finished is not None:
@@ -258,7 +258,7 @@ def fly_fault_trial(flight: SteppedSimulation, case: FailureCase, vehicle: int) 
         elif (
             conductor.stage != "execute"
             or conductor.holding
-            or conductor.waiting
+            or conductor.state.progress.waiting
             or monitor.hidden_slip
         ):
             undisturbed_since = flight.now

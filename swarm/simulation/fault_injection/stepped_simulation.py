@@ -18,8 +18,8 @@ import numpy as np
 from pymavlink.dialects.v20 import common
 
 from swarm.certification.certificate import CertifiedPlan
-from swarm.flight.clearance import go
 from swarm.flight.conductor import Conductor
+from swarm.flight.flight_plan import go
 from swarm.flight.parameters import plan_requirements, rules
 from swarm.flight.snapshot import Event
 from swarm.flight.world import emulated_world
@@ -133,7 +133,7 @@ def set_audited_parameters(emulator: Emulator, flight_plan: CertifiedPlan, fleet
 def lasting(flight: Conductor) -> tuple[object, ...]:
     """Return the constants of a flight and what it has recorded, which its copies share."""
     setup = flight.state.setup
-    return setup, setup.monitor, flight.stream_loss, *flight.state.recorder.samples
+    return setup, setup.monitor, flight.state.stream_loss, *flight.state.recorder.samples
 
 
 @dataclass(eq=False)

@@ -7,7 +7,7 @@ from swarm.simulation.monte_carlo.parallel import fly_trials, workers_starting
 from swarm.simulation.monte_carlo.spread import (
     FAILURES,
     Conditions,
-    FailureKind,
+    FaultKind,
     Spread,
     draw,
     read_scenario,
@@ -40,7 +40,7 @@ __all__ = [
     "SAMPLE_INTERVAL",
     "CertifiedClearances",
     "Conditions",
-    "FailureKind",
+    "FaultKind",
     "Spread",
     "Trial",
     "below_certificate",

@@ -13,7 +13,7 @@ from joblib import Parallel, delayed, parallel_config
 
 from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.result import FlightResult
-from swarm.flight.setup import Options
+from swarm.flight.setup import FlightOptions
 from swarm.simulation.loop import Fault
 from swarm.simulation.monte_carlo.spread import Spread
 from swarm.simulation.monte_carlo.trial import Trial, fly_trial
@@ -38,11 +38,11 @@ def fly_trials(
 
     They run in ``jobs`` processes of this machine (None: one per core), or on the workers of the
     Dask cluster at ``scheduler`` (tcp://host:port). ``open_loop`` is as in
-    :class:`swarm.flight.setup.Options`. Closing the iterator aborts the running trials.
+    :class:`swarm.flight.setup.FlightOptions`. Closing the iterator aborts the running trials.
     Raises :class:`SwarmError` where the cluster's packages are missing or its scheduler does not
     answer.
     """
-    options = Options(open_loop=open_loop)
+    options = FlightOptions(open_loop=open_loop)
     fly = functools.partial(fly_trial, flight_plan, spread, seed, faults=faults, options=options)
     if scheduler is None and process_count(jobs) == 1:
         for trial in trials:

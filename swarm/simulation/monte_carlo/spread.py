@@ -23,13 +23,13 @@ Random = np.random.Generator
 _BOOT: Final = 30.0
 """Seconds of start-up before the plan, in which a failure may occur as well."""
 
-FailureKind = Literal[
+FaultKind = Literal[
     "motor_loss", "weak_thrust", "link", "leave_offboard", "gripper_slip", "freeze", "reboot",
     "gripper_stuck_open", "gripper_stuck_shut", "gps_loss", "position_loss", "disarm", "pilot",
     "believes_landed", "barometer_drift", "gps_jump", "battery",
 ]  # fmt: skip
 
-FAILURES: Final[tuple[FailureKind, ...]] = (
+FAILURES: Final[tuple[FaultKind, ...]] = (
     "motor_loss", "weak_thrust", "link", "leave_offboard", "gripper_slip", "freeze", "reboot",
 )  # fmt: skip
 
@@ -75,7 +75,7 @@ class Spread(Section):
         0.1, "", "Share of trials in which one vehicle fails; `failures` lists the kinds.",
         least=0.0, most=1.0,
     )  # fmt: skip
-    failures: tuple[FailureKind, ...] = Field(
+    failures: tuple[FaultKind, ...] = Field(
         FAILURES, description="Kinds of failure, as in `faults`; all equally likely."
     )
 

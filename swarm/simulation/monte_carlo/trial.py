@@ -12,7 +12,7 @@ from swarm.certification.kinds import MEASURED
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.result import FlightResult
-from swarm.flight.setup import Options
+from swarm.flight.setup import FlightOptions
 from swarm.flight.trace import Trace
 from swarm.mission.fleet import Fleet, emulated_fleet
 from swarm.planning import Plan
@@ -167,7 +167,7 @@ def fly_trial(
     *,
     fleet: Fleet | None = None,
     faults: Sequence[Fault] = (),
-    options: Options = DEFAULT_OPTIONS,
+    options: FlightOptions = DEFAULT_OPTIONS,
     callbacks: Callbacks = NO_CALLBACKS,
 ) -> tuple[Trial, FlightResult]:
     """Fly one trial; return its results and those of its flight.

@@ -9,7 +9,6 @@ down. Where it cannot move on, or a vehicle flies without setpoints, it stops wh
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -17,17 +16,13 @@ import numpy.typing as npt
 from swarm.analysis.separation import separation_motion, solo_landing_distance
 from swarm.certification.contingency_windows import above_rotors, rotors_clear
 from swarm.flight.detect import SLOW_FROM, STOPPED_RATE
-from swarm.flight.ending import finish, mark_failed
-from swarm.flight.modes.rejoin import continue_rejoining, outside
-from swarm.flight.modes.transitions import change_stage
+from swarm.flight.failures import ENDS, End, Response, Windows
 from swarm.flight.observing import follow_swing, monitor
 from swarm.flight.pace import advance_clock, allowed_pace, rewind_end
-from swarm.flight.policy import End, Response, Windows, end_of
-from swarm.flight.progress import first_time, leave_plan
 from swarm.flight.router import answer_limit
-from swarm.flight.stages import Stage, Step, StepTrigger, Trigger, next_step
+from swarm.flight.stages import Stage, Step, StepTrigger, Trigger
 from swarm.flight.state import Contingency, FlightState
-from swarm.flight.streams import begin_rejoining, give_up, stop_stream, stop_streams_of_landing
+from swarm.flight.streams import continue_rejoining, outside
 from swarm.mavlink.vehicle import Vehicle
 
 LONGEST_HOVER, DESCENT_SPEED = 5.0, 0.2
@@ -83,7 +78,7 @@ def turning_below_cable(flight: FlightState) -> list[Vehicle]:
     None while a vehicle flies alone: the others keep their heights above it as they descend.
     """
     vehicles, height = flight.roster.vehicles, flight.streams.setpoint[:, 2]
-    down = [k for k, one in enumerate(vehicles) if one.on_ground or height[k] <= TOUCHDOWN]
+    down = [k for k, vehicle in enumerate(vehicles) if vehicle.on_ground or height[k] <= TOUCHDOWN]
     if not down or _any_flies_alone(flight):
         return []
     gripped = flight.observation.gripped
@@ -121,7 +116,10 @@ def _any_flies_alone(flight: FlightState) -> bool:
     """
     vehicles = flight.roster.vehicles
     alone = [vehicles[k] for k in (flight.contingency.alone if flight.contingency else ())]
-    alone += [*unanswering(flight), *(one for one in vehicles if not flight.received(one))]
+    alone += [
+        *unanswering(flight),
+        *(vehicle for vehicle in vehicles if not flight.received(vehicle)),
+    ]
     return any(vehicle.armed and not vehicle.on_ground for vehicle in alone)
 
 
@@ -149,7 +147,7 @@ def not_following(flight: FlightState) -> list[int]:
 
 def adrift(flight: FlightState) -> list[int]:
     """Return the vehicles that do not know where they are, so that they keep no place."""
-    seen, lost = flight.observation, ~flight.observation.located
+    seen, lost = flight.observation, ~flight.observation.position_healthy
     if flight.setup.fleet.frame == "gps":
         lost = lost | seen.poor_fix
     return [k for k in np.flatnonzero(lost).tolist() if k not in flight.streams.fallen]
@@ -164,7 +162,9 @@ def waits_to_land(flight: FlightState, since: float) -> bool:
     ``since`` is when the last one began to fly without setpoints, or the team left the plan.
     """
     limits, vehicles = flight.setup.fleet.limits, flight.roster.vehicles
-    flying = [k for k, one in enumerate(vehicles) if one.armed and k not in flight.streams.fallen]
+    flying = [
+        k for k, vehicle in enumerate(vehicles) if vehicle.armed and k not in flight.streams.fallen
+    ]
     silent_for = [flight.now - vehicles[k].received_at for k in flying]
     if any(limits.silence < silence <= limits.hold for silence in silent_for):
         return True
@@ -226,37 +226,24 @@ def contingency_of(flight: FlightState) -> Contingency:
     return flight.contingency
 
 
-def stopped(flight: FlightState, contingency: Contingency, message: str) -> Contingency:
-    """Return the contingency of a team that moves no farther along the plan, and report it.
-
-    A team that was to release elsewhere releases here only where no cable hangs above a rotor.
-    """
-    if contingency.target is None or contingency.step is not Step.APPROACH:
-        return contingency
-    flight.report("contingency", f"stopping here: {message}")
-    releases = contingency.response is Response.RELEASE
-    response = Response.RELEASE_HERE if releases else contingency.response
-    return replace(contingency, target=None, response=response)
-
-
-def move_on(flight: FlightState) -> Contingency:
-    """Let the clock move towards the chosen moment; return the contingency after it."""
+def move_on(flight: FlightState) -> None:
+    """Let the clock move towards the chosen moment."""
     follow_swing(flight)
     monitor(flight)
-    contingency = _notice_motion(flight, _notice_alone(flight, contingency_of(flight)))
-    flight.clock.urgent, flight.clock.target = True, _rate(flight, contingency.target)
+    _notice_alone(flight)
+    _notice_motion(flight)
+    flight.clock.urgent, flight.clock.target = True, _rate(flight, contingency_of(flight).target)
     advance_clock(flight)
-    return contingency
 
 
 def at_rest(flight: FlightState) -> bool:
     """Return whether the team rests at the chosen moment, or where it must stop."""
     late = flight.now - contingency_of(flight).step_since > flight.setup.fleet.limits.hold
-    return flight.clock.stopped and (late or _arrived(flight, contingency_of(flight)))
+    return flight.clock.stopped and (late or _arrived(flight))
 
 
-def _arrived(flight: FlightState, contingency: Contingency) -> bool:
-    target = contingency.target
+def _arrived(flight: FlightState) -> bool:
+    target = contingency_of(flight).target
     return target is None or abs(target - flight.clock.time) < ARRIVED
 
 
@@ -282,24 +269,23 @@ def _rejoins(flight: FlightState) -> bool:
     return bool(flight.streams.rejoining) or flight.guidance.blending
 
 
-def _notice_alone(flight: FlightState, contingency: Contingency) -> Contingency:
-    alone = tuple(not_following(flight))
-    if alone == contingency.alone:
-        return contingency
-    contingency = replace(contingency, alone=alone, alone_since=flight.now)
-    return stopped(flight, contingency, "a vehicle flies without setpoints")
+def _notice_alone(flight: FlightState) -> None:
+    """Take note of the vehicles that fly without setpoints; if others do now, move no farther."""
+    contingency, alone = contingency_of(flight), tuple(not_following(flight))
+    if alone != contingency.alone:
+        contingency.alone, contingency.alone_since = alone, flight.now
+        stop_here(flight, "a vehicle flies without setpoints")
 
 
-def _notice_motion(flight: FlightState, contingency: Contingency) -> Contingency:
+def _notice_motion(flight: FlightState) -> None:
     """Take note that the team moves on, has arrived, or waits for a vehicle.
 
     One that receives nothing soon lands by itself: the others must not descend before it.
     """
     moves = abs(flight.clock.rate) >= STOPPED_RATE
     waits = _any_silent(flight) or bool(unanswering(flight)) or _rejoins(flight)
-    if moves or waits or _arrived(flight, contingency):
-        return replace(contingency, moving_at=flight.now)
-    return contingency
+    if moves or waits or _arrived(flight):
+        contingency_of(flight).moving_at = flight.now
 
 
 _ANNOUNCED: Mapping[Response, str] = {
@@ -326,16 +312,16 @@ def leave_the_plan(
     that left offboard mode are asked to return. ``announced`` replaces the usual words.
     """
     if flight.stage in {Stage.PREPARE, Stage.READY}:
-        finish(flight, "interrupted", message)
+        flight.finish("interrupted", message)
     if flight.stage is not Stage.EXECUTE:
         return
     flight.report("contingency", f"{announced or _ANNOUNCED[response]}: {message}")
-    leave_plan(flight)
-    change_stage(flight, Trigger.LEAVE_PLAN)
+    flight.progress.waiting = flight.progress.rewinding = False
+    flight.change_stage(Trigger.LEAVE_PLAN)
     moves = response in {Response.LAND, Response.RELEASE} if move is None else move
     if moves and flight.attached and windows(flight) is Windows.NEITHER:
         for k in outside(flight):
-            begin_rejoining(flight, k)
+            flight.begin_rejoining(k)
     here = response is Response.RELEASE_HERE
     flight.contingency = Contingency(
         response=Response.LAND_HERE if here else response,
@@ -359,7 +345,7 @@ def release_fallen(flight: FlightState, k: int, message: str) -> None:
     """Release a vehicle that falls, and the cable around it; land the others."""
     if k in flight.streams.fallen:
         return
-    give_up(flight, k)
+    flight.streams.give_up(k)
     if flight.stage is Stage.EXECUTE:
         leave_the_plan(flight, Response.RELEASE_FALLEN, message)
     elif flight.contingency is not None:
@@ -367,8 +353,17 @@ def release_fallen(flight: FlightState, k: int, message: str) -> None:
 
 
 def stop_here(flight: FlightState, message: str) -> None:
-    """Move no farther along the plan: come to rest at the present place, and end there."""
-    flight.contingency = stopped(flight, contingency_of(flight), message)
+    """Move no farther along the plan: come to rest at the present place, and end there.
+
+    A team that was to release elsewhere releases here only where no cable hangs above a rotor.
+    """
+    contingency = contingency_of(flight)
+    if contingency.target is None or contingency.step is not Step.APPROACH:
+        return
+    flight.report("contingency", f"stopping here: {message}")
+    contingency.target = None
+    if contingency.response is Response.RELEASE:
+        contingency.response = Response.RELEASE_HERE
 
 
 def release_if_open(flight: FlightState, message: str = "") -> None:
@@ -379,23 +374,18 @@ def release_if_open(flight: FlightState, message: str = "") -> None:
     stop_here(flight, message)
     contingency = contingency_of(flight)
     early = contingency.step in {Step.APPROACH, Step.DESCEND}
-    end = end_of(Response.RELEASE_HERE, windows(flight))
+    end = ENDS[Response.RELEASE_HERE][windows(flight)]
     if flight.attached and early and end is End.RELEASE:
-        flight.contingency = replace(contingency, response=Response.RELEASE, target=None)
+        contingency.response, contingency.target = Response.RELEASE, None
         _begin_release(flight)
 
 
-def tick(flight: FlightState) -> bool:
-    """Go on; return whether all vehicles are down and disarmed, or given up."""
+def tick(flight: FlightState) -> None:
+    """Go on, until all vehicles are down and disarmed, or given up."""
     continue_rejoining(flight)
     _STEPS[contingency_of(flight).step](flight)
-    return _finished(flight)
-
-
-def _change_step(flight: FlightState, trigger: StepTrigger) -> None:
-    contingency = contingency_of(flight)
-    step = next_step(contingency.step, trigger)
-    flight.contingency = replace(contingency, step=step, step_since=flight.now)
+    if _finished(flight):
+        flight.conclude()
 
 
 # Approach
@@ -403,23 +393,22 @@ def _change_step(flight: FlightState, trigger: StepTrigger) -> None:
 
 def _approach(flight: FlightState) -> None:
     """Move to the chosen moment; there, release or descend."""
-    flight.contingency = move_on(flight)
+    move_on(flight)
     if not at_rest(flight):
         return
-    open_ = windows(flight)
-    cornered = flight.attached and open_ is Windows.NEITHER
-    flight.contingency = replace(contingency_of(flight), cornered=cornered)
-    if flight.attached and end_of(contingency_of(flight).response, open_) is End.RELEASE:
+    contingency, open_ = contingency_of(flight), windows(flight)
+    contingency.cornered = flight.attached and open_ is Windows.NEITHER
+    if flight.attached and ENDS[contingency.response][open_] is End.RELEASE:
         _begin_release(flight)
         return
-    if contingency_of(flight).response is Response.RELEASE_HERE:
+    if contingency.response is Response.RELEASE_HERE:
         error = flight.observation.error
         if _release_caught(flight, np.flatnonzero(error > SLOW_FROM * flight.allowed_error)):
             return
-    for k in contingency_of(flight).alone:
+    for k in contingency.alone:
         if not (vehicle := flight.roster.vehicles[k]).in_manual_mode:
             _land(flight, k, vehicle)
-    if not waits_to_land(flight, contingency_of(flight).alone_since):
+    if not waits_to_land(flight, contingency.alone_since):
         _begin_descent(flight, StepTrigger.LAND)
 
 
@@ -433,10 +422,10 @@ def _begin_release(flight: FlightState) -> None:
     """
     vehicles = flight.roster.vehicles
     silent = [vehicle for vehicle in unanswering(flight) if vehicle.gripped]
-    _change_step(flight, StepTrigger.RELEASE)
+    contingency_of(flight).change_step(StepTrigger.RELEASE, flight.now)
     if 0 < len(silent) < len(vehicles):
-        flight.contingency = replace(contingency_of(flight), staggered=True)
-        names = ", ".join(flight.name(vehicle) for vehicle in silent)
+        contingency_of(flight).staggered = True
+        names = flight.names(silent)
         flight.report("release", f"releasing first, without recent answers: {names}")
         _open_grippers(flight, [vehicles.index(vehicle) for vehicle in silent])
     else:
@@ -444,7 +433,7 @@ def _begin_release(flight: FlightState) -> None:
 
 
 def _release_all(flight: FlightState) -> None:
-    flight.contingency = replace(contingency_of(flight), staggered=False)
+    contingency_of(flight).staggered = False
     flight.report("release", "releasing all together")
     _open_grippers(flight, range(len(flight.roster.vehicles)))
 
@@ -460,7 +449,7 @@ def _release_caught(flight: FlightState, caught: Iterable[int]) -> bool:
     beside = [j for k in held for j in (k, k - 1, k + 1) if 0 <= j < n]
     for order in (list(dict.fromkeys(beside)), held):
         if order and may_release_at(flight, order):
-            _change_step(flight, StepTrigger.RELEASE)
+            contingency_of(flight).change_step(StepTrigger.RELEASE, flight.now)
             names = ", ".join(str(k + 1) for k in order)
             flight.report("release", f"releasing where the cable is caught: vehicles {names}")
             _open_grippers(flight, order)
@@ -474,15 +463,13 @@ def _release_fallen(flight: FlightState) -> None:
     Where cable hangs above a rotor, the vehicles that are not beside a fall keep holding: they come
     straight down together. A team that separates or descends goes on meanwhile.
     """
-    fallen = sorted(flight.streams.fallen)
-    flight.contingency = replace(
-        contingency_of(flight), response=Response.RELEASE_FALLEN, target=None
-    )
-    if contingency_of(flight).step in {Step.APPROACH, Step.RELEASE}:
-        _change_step(flight, StepTrigger.RELEASE)
+    fallen, contingency = sorted(flight.streams.fallen), contingency_of(flight)
+    contingency.response, contingency.target = Response.RELEASE_FALLEN, None
+    if contingency.step in {Step.APPROACH, Step.RELEASE}:
+        contingency.change_step(StepTrigger.RELEASE, flight.now)
     n = len(flight.roster.vehicles)
     order = [*fallen, *(k for j in fallen for k in (j - 1, j + 1) if 0 <= k < n)]
-    if end_of(Response.RELEASE_FALLEN, windows(flight)) is End.RELEASE_FALLEN:
+    if ENDS[Response.RELEASE_FALLEN][windows(flight)] is End.RELEASE_FALLEN:
         order += range(n)
     names = ", ".join(str(k + 1) for k in dict.fromkeys(order))
     flight.report("release", f"releasing in this order: vehicles {names}")
@@ -490,8 +477,7 @@ def _release_fallen(flight: FlightState) -> None:
 
 
 def _open_grippers(flight: FlightState, order: Sequence[int]) -> None:
-    contingency = contingency_of(flight)
-    flight.contingency = replace(contingency, opening=contingency.opening.union(order))
+    contingency_of(flight).opening |= set(order)
     for k in order:
         vehicle = flight.roster.vehicles[k]
         if not (flight.setup.commands_grippers and vehicle.gripped):
@@ -525,8 +511,9 @@ def _release(flight: FlightState) -> None:
         _begin_separation(flight)
     elif not closed or waited > (FALLEN_RELEASE_TIMEOUT if fallen else RELEASE_TIMEOUT):
         if closed:
-            names = ", ".join(flight.name(vehicle) for vehicle in closed)
-            flight.report("contingency", f"{names} still hold the cable: landing here")
+            flight.report(
+                "contingency", f"{flight.names(closed)} still hold the cable: landing here"
+            )
         _begin_descent(flight, StepTrigger.STUCK)
 
 
@@ -541,7 +528,7 @@ def _begin_separation(flight: FlightState) -> None:
     leading towards one of them.
     """
     for k in adrift(flight):
-        stop_stream(flight, k)
+        flight.streams.switch(k, on=False)
     setup, streams = flight.setup, flight.streams
     mission, start = setup.plan.mission, streams.setpoint.copy()
     staying = not_following(flight)
@@ -564,7 +551,7 @@ def _begin_separation(flight: FlightState) -> None:
         nearest = max(float(level.min(initial=np.inf)), 1e-3)
         spread = float(np.clip(solo_landing_distance(mission) / nearest, 1.0, 4.0))
     flight.guidance.follow(separation_motion(start, centre, spread, mission), flight.timing.moving)
-    _change_step(flight, StepTrigger.RELEASED)
+    contingency_of(flight).change_step(StepTrigger.RELEASED, flight.now)
 
 
 def _separate(flight: FlightState) -> None:
@@ -576,7 +563,9 @@ def _separate(flight: FlightState) -> None:
     ]
     for k, vehicle in alone:
         _land(flight, k, vehicle)
-    lands = any(one.armed and not one.on_ground and flight.received(one) for _, one in alone)
+    lands = any(
+        vehicle.armed and not vehicle.on_ground and flight.received(vehicle) for _, vehicle in alone
+    )
     longest = flight.guidance.duration + (flight.setup.fleet.limits.hold if lands else 0.0)
     if flight.now - contingency_of(flight).step_since > longest:
         _begin_descent(flight, StepTrigger.APART)
@@ -586,7 +575,7 @@ def _separate(flight: FlightState) -> None:
 
 
 def _begin_descent(flight: FlightState, trigger: StepTrigger) -> None:
-    _change_step(flight, trigger)
+    contingency_of(flight).change_step(trigger, flight.now)
     speed = flight.setup.fleet.limits.descent
     flight.guidance.descend(flight.streams.setpoint, speed, flight.timing.moving)
 
@@ -600,14 +589,14 @@ def _descend(flight: FlightState) -> None:
     """
     contingency, height = contingency_of(flight), flight.streams.setpoint[:, 2]
     alone = {*contingency.alone, *(k for k in not_following(flight) if height[k] > TOUCHDOWN)}
-    flight.contingency = replace(contingency, alone=tuple(sorted(alone)))
+    contingency.alone = tuple(sorted(alone))
     above, longest = stays_above(flight), flight.setup.fleet.limits.hold + LONGEST_HOVER
-    patient = contingency_of(flight).waited <= longest
+    patient = contingency.waited <= longest
     if above is not None and not patient:
         release_if_open(flight)
     elif flight.attached and (held := held_by_cable(flight)):
         _release_held(flight, held)
-    if contingency_of(flight).step is not Step.DESCEND:
+    if contingency.step is not Step.DESCEND:
         return
     turning = turning_below_cable(flight) if flight.attached and above is None else []
     waits = patient and (above is not None or bool(turning))
@@ -616,10 +605,10 @@ def _descend(flight: FlightState) -> None:
     flight.guidance.go_down(flight.timing.moving, 0.0 if waits else 1.0)
     for k, vehicle in enumerate(flight.roster.vehicles):
         if not vehicle.armed:
-            stop_stream(flight, k)
+            flight.streams.switch(k, on=False)
         elif not vehicle.in_manual_mode:
             _land(flight, k, vehicle)
-    stop_streams_of_landing(flight)
+    flight.stop_streams_of_landing()
 
 
 def _release_held(flight: FlightState, held: Sequence[int]) -> None:
@@ -634,30 +623,26 @@ def _note_waiting(flight: FlightState, above: Vehicle | None, turning: Sequence[
     if above is not None and contingency.waited == 0.0:
         words = f"{flight.name(above)} stays above the others, which wait for it"
         flight.report("contingency", words)
-    elif turning and first_time(flight, 0, "turning below cable"):
-        names = ", ".join(flight.name(vehicle) for vehicle in turning)
+    elif turning and flight.progress.first_time(0, "turning below cable"):
+        names = flight.names(turning)
         words = f"waiting until the rotors below cable have stopped: {names}"
         flight.report("contingency", words)
-    waited = contingency.waited + flight.timing.elapsed
-    flight.contingency = replace(contingency, waited=waited)
+    contingency.waited += flight.timing.elapsed
 
 
 def _land(flight: FlightState, k: int, vehicle: Vehicle) -> None:
     contingency, system = contingency_of(flight), vehicle.system
     if flight.streams.setpoint[k, 2] <= TOUCHDOWN or not flight.streams.active[k]:
-        contingency = replace(contingency, landing=contingency.landing | {system})
+        contingency.landing |= {system}
     if system in contingency.landing:
         if not vehicle.in_mode("land") and (
-            flight.received(vehicle) or first_time(flight, k, "land unheard")
+            flight.received(vehicle) or flight.progress.first_time(k, "land unheard")
         ):
             vehicle.set_mode("land")
         if vehicle.on_ground:
-            since = contingency.on_ground_since.get(system, flight.now)
-            grounded = {**contingency.on_ground_since, system: since}
-            contingency = replace(contingency, on_ground_since=grounded)
+            since = contingency.on_ground_since.setdefault(system, flight.now)
             if flight.now - since > DISARM_AFTER:
                 vehicle.disarm()
-    flight.contingency = contingency
 
 
 def _finished(flight: FlightState) -> bool:
@@ -670,15 +655,14 @@ def _finished(flight: FlightState) -> bool:
     received = [vehicle for vehicle in armed if flight.received(vehicle, limits.lost)]
     if contingency.down_since is None and contingency.step is Step.DESCEND:
         down = np.all(flight.streams.setpoint[:, 2] <= TOUCHDOWN)
-        contingency = replace(contingency, down_since=flight.now if down else None)
-        flight.contingency = contingency
+        contingency.down_since = flight.now if down else None
     down_since = contingency.down_since
     blind = down_since is not None and flight.now - down_since > BLIND
     if not armed or (blind and not received):
         return True
     if flight.now - contingency.step_since > GIVE_UP + limits.hold:
-        names = ", ".join(flight.name(vehicle) for vehicle in armed)
-        mark_failed(flight, f"still armed long after landing began: {names}")
+        names = flight.names(armed)
+        flight.mark_failed(f"still armed long after landing began: {names}")
         return True
     return False
 

@@ -1,8 +1,9 @@
 """Flying the plan, from the search for the vehicles on: the clock runs from gate to gate.
 
-Before the flight all must be ready, and the operator gives clearance. A gate is begun once; its
-condition is evaluated at every tick. :data:`GATES` has one row per condition: the actions that
-begin at it, and what passes it.
+Before the flight all must be ready, and the operator gives clearance; a team whose ground station
+ended is found in the air, and the flight goes on from there. A gate is begun once; its condition is
+evaluated at every tick. :data:`GATES` has one row per condition: the actions that begin at it, and
+what passes it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -11,31 +12,17 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.flight.ending import conclude, finish
-from swarm.flight.failures import OPERATOR, Failure, FailureKind
-from swarm.flight.holds import hold
-from swarm.flight.modes.contingency import DISARM_AFTER, leave_the_plan
-from swarm.flight.modes.rejoin import STREAM_BEFORE_OFFBOARD, continue_rejoining
-from swarm.flight.modes.resume import follow_order
-from swarm.flight.modes.transitions import change_stage
+from swarm.flight.contingency import DISARM_AFTER, leave_the_plan
+from swarm.flight.failures import OPERATOR, Failure, FailureKind, Response
 from swarm.flight.observing import place_team
 from swarm.flight.pace import advance_clock, steer_clock
-from swarm.flight.policy import Response
-from swarm.flight.preparation import Prepared
-from swarm.flight.progress import (
-    all_ready,
-    begin_waiting,
-    extend_gate,
-    first_time,
-    not_settled,
-    pass_gate,
-)
-from swarm.flight.readiness import readiness
-from swarm.flight.responding import respond
+from swarm.flight.preparation import Prepared, readiness, request_streams
+from swarm.flight.responding import request, respond
 from swarm.flight.result import Outcome
 from swarm.flight.stages import Stage, Trigger
 from swarm.flight.state import FlightState
-from swarm.flight.streams import expect_armed, start_stream, stop_streams_of_landing
+from swarm.flight.streams import STREAM_BEFORE_OFFBOARD, continue_rejoining, rejoin
+from swarm.flight.tlog import LeftOff
 from swarm.mavlink.vehicle import Vehicle
 from swarm.planning import Condition
 
@@ -83,7 +70,7 @@ def _armed(flight: FlightState) -> bool:
     vehicles = flight.roster.vehicles
     for k, vehicle in enumerate(vehicles):
         if not vehicle.needs_takeoff_command:
-            start_stream(flight, k)
+            flight.start_stream(k)
     opening = any(vehicle.commands.contains("release") for vehicle in vehicles)
     if opening or _waited(flight) < STREAM_BEFORE_OFFBOARD:
         return False
@@ -94,10 +81,10 @@ def _armed(flight: FlightState) -> bool:
         return False
     unarmed = [vehicle for vehicle in vehicles if not vehicle.armed]
     if unarmed:
-        for vehicle in [one for one in unarmed if one.needs_takeoff_command] or unarmed:
+        for vehicle in [vehicle for vehicle in unarmed if vehicle.needs_takeoff_command] or unarmed:
             vehicle.arm()
         return False
-    expect_armed(flight)
+    flight.streams.expect_armed()
     return _taken_off(flight)
 
 
@@ -110,10 +97,10 @@ def _taken_off(flight: FlightState) -> bool:
         start = flight.placement.start_position[k, 2]
         height = float(flight.observation.position[k, 2] - start)
         if height >= STREAM_AFTER_TAKEOFF * TAKEOFF_HEIGHT:
-            start_stream(flight, k)
+            flight.start_stream(k)
             continue
         all_streamed = False
-        if first_time(flight, k, "takeoff"):
+        if flight.progress.first_time(k, "takeoff"):
             vehicle.take_off(TAKEOFF_HEIGHT)
     return all_streamed
 
@@ -168,14 +155,18 @@ def at_rest(flight: FlightState) -> Flags:
     return near & slow
 
 
+def _begin_settling(flight: FlightState) -> None:
+    flight.progress.settled_since = flight.now
+
+
 def _settled(flight: FlightState) -> bool:
     if not at_rest(flight).all():
-        not_settled(flight)
+        flight.progress.settled_since = flight.now
     if flight.now - flight.progress.settled_since < SETTLED_FOR:
         return False
     time = flight.setup.gates[flight.progress.gate].time
     before_fold = flight.setup.plan.phase_at(time + 1e-6).name == "fold"
-    return _level(flight) if before_fold and first_time(flight, 0, "heights") else True
+    return _level(flight) if before_fold and flight.progress.first_time(0, "heights") else True
 
 
 def _level(flight: FlightState) -> bool:
@@ -187,13 +178,13 @@ def _level(flight: FlightState) -> bool:
     seen = flight.observation
     heights = seen.position[:, 2] - flight.streams.setpoint[:, 2]
     words = f"levelled line: reported heights differ by up to {np.ptp(heights):.2f} m"
-    drift = seen.height_gap - flight.detectors.heights.reference
+    drift = seen.height_difference - flight.detectors.heights.reference
     known = np.isfinite(drift)
     if known.sum() < 3:
         flight.report("heights", f"{words}; no GPS heights to compare")
         return True
     off = drift - np.median(drift[known])
-    accuracy = seen.height_accuracy
+    accuracy = seen.vertical_accuracy
     allowed = np.fmax(2.0 * accuracy, flight.setup.plan.mission.vehicles.tracking)
     worst = int(np.nanargmax(np.abs(off)))
     flight.report("heights", f"{words}; against GPS by up to {abs(off[worst]):.2f} m")
@@ -203,7 +194,7 @@ def _level(flight: FlightState) -> bool:
     names = ", ".join(
         f"{seen.names[k]} by {off[k]:+.2f} m (accuracy {accuracy[k]:.2f} m)" for k in wrong.tolist()
     )
-    hold(flight, OPERATOR, f"heights disagree with GPS before the fold: {names}")
+    flight.hold(OPERATOR, f"heights disagree with GPS before the fold: {names}")
     return False
 
 
@@ -213,7 +204,7 @@ def _land(flight: FlightState) -> None:
 
 
 def _landed(flight: FlightState) -> bool:
-    stop_streams_of_landing(flight)
+    flight.stop_streams_of_landing()
     for vehicle in flight.roster.vehicles:
         if vehicle.armed and vehicle.on_ground and _waited(flight) > DISARM_AFTER:
             vehicle.disarm()
@@ -224,7 +215,7 @@ GATES: Mapping[Condition, GateHandlers] = {
     "armed": GateHandlers(_open_grippers, _armed),
     "airborne": GateHandlers(_no_action, _airborne),
     "gripped": GateHandlers(_no_action, _gripped),
-    "settled": GateHandlers(not_settled, _settled),
+    "settled": GateHandlers(_begin_settling, _settled),
     "released": GateHandlers(_release, _released),
     "landed": GateHandlers(_land, _landed),
 }
@@ -238,22 +229,114 @@ def prepare(flight: FlightState) -> None:
     """Prepare the vehicles until all are ready."""
     result = flight.preparation.tick(flight.now, flight.timing.real)
     if isinstance(result, Outcome):
-        finish(flight, result.word, result.explanation)
+        flight.finish(result.word, result.explanation)
     elif isinstance(result, Prepared):
         place_team(flight, result)
         flight.report("flight", "all vehicles are ready")
-        change_stage(flight, Trigger.TEAM_READY)
-        all_ready(flight)
+        flight.change_stage(Trigger.TEAM_READY)
+        flight.progress.ready_at = flight.now
 
 
 def wait_for_clearance(flight: FlightState) -> None:
     """Watch that the vehicles stay ready."""
     findings = readiness(flight.roster.vehicles, flight.setup.fleet, flight.now)
     if not findings:
-        all_ready(flight)
+        flight.progress.ready_at = flight.now
     elif flight.now - flight.progress.ready_at > NOT_READY_TIMEOUT:
         words = "\n".join(finding.message for finding in findings)
-        finish(flight, "failed", f"no longer ready:\n{words}")
+        flight.finish("failed", f"no longer ready:\n{words}")
+
+
+LARGEST = 1.0
+"""Metres between a vehicle and its place in the plan up to which the team goes on with it."""
+FRESH = 0.5
+"""Seconds: oldest report from which a vehicle's place is compared; it moves 1 m at 2 m/s."""
+AROUND = 4.0
+"""Seconds of mission time around the last recorded one in which the team is searched: it flew on
+without setpoints."""
+_STEP = 0.05
+"""Seconds between compared moments of the plan: 0.1 m at the default speed limit of 2 m/s."""
+
+
+def find_team(flight: FlightState) -> None:
+    """Search the team; once all vehicles are received, go on where they are, and hold."""
+    left = flight.resumption.left_off
+    if left is None:
+        raise ValueError("this flight was not interrupted")
+    if flight.progress.first_time(-1, "search"):
+        flight.progress.gate_since = flight.now
+    for k, vehicle in enumerate(flight.roster.vehicles):
+        if flight.received(vehicle) and flight.progress.first_time(k, "streams"):
+            request_streams(vehicle, flight.setup.fleet)
+    if missing := _missing(flight):
+        if flight.now - flight.progress.gate_since > flight.setup.fleet.limits.hold:
+            flight.finish(
+                "failed", f"not found: {flight.names(missing)}; each vehicle lands by its failsafe"
+            )
+        return
+    if disarmed := [vehicle for vehicle in flight.roster.vehicles if not vehicle.armed]:
+        names = flight.names(disarmed)
+        flight.finish("failed", f"no longer flying: {names}; the others land by their failsafes")
+        return
+    time, off = _place_in_plan(flight, left)
+    _go_on(flight, left, time)
+    flight.report(
+        "resume", f"found the team at {time:.1f} s of the plan, up to {off:.2f} m from it"
+    )
+    landing = any(vehicle.in_mode("land") for vehicle in flight.roster.vehicles)
+    if landing or off > LARGEST:
+        why = "vehicles already land" if landing else f"a vehicle is {off:.1f} m from its place"
+        words = f"the flight cannot be resumed: {why}"
+        leave_the_plan(flight, Response.LAND_HERE, words)
+        return
+    flight.hold(OPERATOR, "the flight is resumed")
+    rejoin(flight)
+
+
+def follow_order(flight: FlightState) -> None:
+    """Do what the operator ordered in advance, once all vehicles follow again."""
+    then, streams = flight.resumption.then, flight.streams
+    if then == "hold" or streams.rejoining or not streams.active.all():
+        return
+    flight.resumption.then = "hold"
+    request(flight, "resume" if then == "continue" else then)
+
+
+def _missing(flight: FlightState) -> list[Vehicle]:
+    return [
+        vehicle
+        for vehicle in flight.roster.vehicles
+        if not (flight.received(vehicle, FRESH) and flight.now - vehicle.position_at < FRESH)
+        or vehicle.autopilot is None
+    ]
+
+
+def _go_on(flight: FlightState, left: LeftOff, time: float) -> None:
+    """Continue the plan at a mission time, at rest; no vehicle gets setpoints yet."""
+    flight.clock.time = time
+    flight.clock.set_stopped()
+    flight.progress.gate = left.gate
+    flight.streams.expect_armed()
+    for vehicle in flight.roster.vehicles:
+        vehicle.gripped = left.gripped
+        vehicle.take_events()
+    flight.change_stage(Trigger.TEAM_FOUND)
+
+
+def _place_in_plan(flight: FlightState, left: LeftOff) -> tuple[float, float]:
+    """Return the mission time around the last one that fits best, and the largest distance."""
+    gates, plan = flight.setup.gates, flight.setup.plan
+    low = gates[left.gate - 1].time if left.gate else 0.0
+    high = gates[left.gate].time if left.gate < len(gates) else plan.duration
+    times = np.arange(
+        max(low, left.mission_time - AROUND), min(high, left.mission_time + AROUND), _STEP
+    )
+    if not len(times):
+        times = np.array([left.mission_time])
+    apart = plan.motion.at(times)[0] - flight.observation.position
+    off = np.linalg.norm(apart, axis=2).max(axis=1)
+    best = int(np.argmin(off))
+    return float(times[best]), float(off[best])
 
 
 def tick(flight: FlightState) -> None:
@@ -269,7 +352,7 @@ def tick(flight: FlightState) -> None:
             if flight.gate is not None:
                 _reach_gate(flight)
             else:
-                conclude(flight)
+                flight.conclude()
     if flight.progress.waiting:
         _wait_at_gate(flight)
 
@@ -284,7 +367,7 @@ def _land_when_interrupted(flight: FlightState) -> None:
 
 def _reach_gate(flight: FlightState) -> None:
     gate = flight.setup.gates[flight.progress.gate]
-    begin_waiting(flight)
+    flight.progress.waiting, flight.progress.gate_since = True, flight.now
     flight.clock.set_stopped()
     who = "all inner vehicles" if gate.inner else "all"
     flight.report("gate", f"waiting until {who} are {gate.condition}")
@@ -294,13 +377,13 @@ def _reach_gate(flight: FlightState) -> None:
 def _wait_at_gate(flight: FlightState) -> None:
     gate = flight.setup.gates[flight.progress.gate]
     if flight.holds.causes and gate.condition != "landed":
-        extend_gate(flight)
+        flight.progress.gate_since += flight.timing.elapsed
     elif GATES[gate.condition].passed(flight):
         flight.report("gate", f"all are {gate.condition}")
-        pass_gate(flight)
+        flight.progress.waiting, flight.progress.gate = False, flight.progress.gate + 1
         flight.clock.set_running()
         if gate.condition == "landed":
-            conclude(flight)
+            flight.conclude()
     elif flight.now - flight.progress.gate_since > gate.timeout:
         words = f"not all are {gate.condition} in {gate.timeout:g} s"
         respond(flight, Failure(FailureKind.GATE_TIMEOUT, words))
