@@ -188,7 +188,7 @@ def test_shares_have_exact_intervals():
 
 
 def test_quantiles_have_distribution_free_intervals():
-    trials = [trial(k, cable=0.01 * k) for k in range(100)]
+    trials = [trial(k, distances={"cable": 0.01 * k}) for k in range(100)]
     document = summary(PLAN, trials, seed=1, spread=CALM)["without_failure"]["clearance"]["cable"]
     assert (document["smallest"], document["required"]) == (0.0, PLAN.mission.clearance.cable)
     low, high = document["quantiles"]["0.5"]["interval"]
@@ -200,7 +200,9 @@ def test_quantiles_have_distribution_free_intervals():
 def test_trials_with_a_failure_are_counted_separately():
     trials = [
         trial(0),
-        trial(1, failure="vehicle 2: link", outcome="failed", reason="lost", cable=None),
+        trial(
+            1, failure="vehicle 2: link", outcome="failed", reason="lost", distances={"cable": None}
+        ),
     ]
     document = summary(PLAN, trials, seed=1, spread=CALM)
     assert document["without_failure"]["trials"] == document["with_failure"]["trials"] == 1
@@ -282,7 +284,7 @@ def test_only_the_emulator_flies_a_refused_plan(tmp_path):
 def test_results_are_one_row_per_trial(tmp_path):
     pq = pytest.importorskip("pyarrow.parquet")
     path = tmp_path / "trials.parquet"
-    write_results(path, [(PLAN, [trial(1, cable=None), trial(0)])], 9, CALM)
+    write_results(path, [(PLAN, [trial(1, distances={"cable": None}), trial(0)])], 9, CALM)
     table = pq.read_table(path)
     assert table["number"].to_pylist() == [0, 1]
     assert table["seed"].to_pylist() == [9, 9]

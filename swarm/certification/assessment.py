@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.air import deepest_sinking
-from swarm.certification.budget import Budget, budgets, smallest_budgets
+from swarm.certification.budget import EFFECTS, Budget, budgets, smallest_budgets
 from swarm.certification.cable_spans import MOST_EXEMPT, exempt_length
 from swarm.certification.clearances import (
     Moment,
@@ -451,17 +451,7 @@ def budget_findings(rows: Iterable[Budget], *, accepted: bool) -> list[Finding]:
 def _in_words(row: Budget) -> str:
     one, other = row.between
     remain = f"{row.remaining:+.2f} m remain between {one} and {other} if all effects come together"
-    effects = (
-        ("tracking", row.tracking),
-        ("sag and tightening", row.amplification),
-        ("length tolerance", row.length),
-        ("leaning droppers", row.grip),
-        ("swing", row.swing),
-        ("swing by tracking errors", row.excited),
-        ("wind", row.wind),
-        ("rotor wash", row.wash),
-    )
-    less = ", ".join(f"{name} {size:.2f} m" for name, size in effects)
+    less = ", ".join(f"{words} {getattr(row, name):.2f} m" for name, words in EFFECTS.items())
     available = f"{row.available:.2f} m at the setpoints"
     return f"{remain}: {available}, less {less}, required {row.required:g} m"
 

@@ -10,7 +10,10 @@ with its model.
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import product
+from operator import add
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -61,6 +64,19 @@ NEARLY_STRAIGHT = 0.9995
 The taut check refuses plans far below it."""
 
 
+EFFECTS: Final = {
+    "tracking": "tracking",
+    "amplification": "sag and tightening",
+    "length": "length tolerance",
+    "grip": "leaning droppers",
+    "swing": "swing",
+    "excited": "swing by tracking errors",
+    "wind": "wind",
+    "wash": "rotor wash",
+}
+"""Effects of the budget by the names of their fields, in words."""
+
+
 @dataclass(frozen=True)
 class Budget:
     """One row of the budget: the distance of two strands and the effects on it, metres.
@@ -90,10 +106,8 @@ class Budget:
     @property
     def effects(self) -> float:
         """Sum of all effects."""
-        return (
-            self.tracking + self.amplification + self.length + self.grip + self.swing
-            + self.excited + self.wind + self.wash
-        )  # fmt: skip
+        total: float = reduce(add, (getattr(self, name) for name in EFFECTS))
+        return total
 
     @property
     def remaining(self) -> float:

@@ -4,7 +4,7 @@ A certificate carries the digest of the plan that it was computed from. A flight
 together with its certificate and compares both; no other value states that a plan is certified.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import InitVar, dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from swarm.certification.findings import Finding
 from swarm.certification.stream_loss import StreamLossCertificate
 from swarm.errors import Refused
 from swarm.notebook import table
-from swarm.planning import Gate, Phase, Plan, digest
+from swarm.planning import Plan, digest
 
 Progress = Callable[[str, float], None]
 
@@ -143,18 +143,11 @@ def with_recorded_robustness(
 
 def without_cable(plan: Plan) -> Plan:
     """Return the same motion without cable, to check the motion of the vehicles alone."""
-    phases = tuple(_free(phase) for phase in plan.phases)
+    phases = tuple(replace(phase, cable="free") for phase in plan.phases)
+    gates = tuple(gate for gate in plan.gates if gate.condition not in {"gripped", "released"})
     none = np.empty(0)
     layout = replace(plan.layout, sags=none, lengths=none, lanes=none, crossings=())
-    return replace(plan, layout=layout, phases=phases, gates=tuple(_without_grips(plan.gates)))
-
-
-def _free(phase: Phase) -> Phase:
-    return replace(phase, cable="free")
-
-
-def _without_grips(gates: Sequence[Gate]) -> list[Gate]:
-    return [gate for gate in gates if gate.condition not in {"gripped", "released"}]
+    return replace(plan, layout=layout, phases=phases, gates=gates)
 
 
 def require_same_plan(plan: Plan, certificate: Certificate) -> None:
