@@ -18,7 +18,7 @@ from numba.core.dispatcher import Dispatcher
 import sitl
 import swarm
 from swarm import jit, precompile
-from swarm.geometry.vectors import dot
+from swarm.geometry.distance import dot
 from swarm.jit import key, sealed
 
 PACKAGE = {

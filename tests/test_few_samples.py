@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from swarm.analysis.rope import planned_grips, simulate_rope
 from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.certification.contingency_windows import above_rotors, rotors_clear
 from swarm.certification.monitor import Monitor
@@ -32,6 +31,7 @@ from swarm.reports.plots import flight_figure
 from swarm.simulation.monte_carlo.spread import Spread, draw
 from swarm.verification import verify_trace
 from swarm.view.replay import write_flight, write_plan
+from swarm_rope import planned_grips, simulate_rope
 from tests.shared import shared
 
 FIRST_STEPS = Path(__file__).parents[1] / "missions" / "first-steps"

@@ -32,7 +32,7 @@ from swarm.ground.record_reader import (
     recorded_flight,
     recorded_plan,
 )
-from swarm.knots.curve_file import parse_curve
+from swarm.knots.curve import parse_curve
 from swarm.mission.validation import parse_yaml
 from swarm.planning.archive import read_plan_file
 from swarm.simulation.monte_carlo.spread import read_scenario

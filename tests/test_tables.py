@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from swarm.certification.motion_file import read_lengths, read_motion
 from swarm.errors import InputError
 from swarm.files import decoded
-from swarm.knots.curve_file import parse_curve
+from swarm.knots.curve import parse_curve
 
 MOTION = "time,vehicle,x,y,z,vx,vy,vz,ax,ay,az,phase"
 

@@ -26,7 +26,6 @@ from sitl.physics.dynamics import STEP, Array
 from sitl.physics.geodesy import GRAVITY
 from sitl.physics.motion import AIR_DENSITY
 from sitl.world import CableSpec
-from swarm.geometry.lumped_mass import solve_tridiagonal
 from swarm.jit import allocates, compiled, inner
 from swarm.signatures import Bools1, Floats1, Floats2
 
@@ -254,7 +253,7 @@ def _restore_links(
                 upper[j] = -(1.0 + viscous) * inverse[j + 1] * _dot(now, j, along, j + 1)
         if worst < _TOLERANCE:
             return
-        solve_tridiagonal(lower, diagonal, upper, error)
+        _solve_tridiagonal(lower, diagonal, upper, error)
         for j in range(links):
             change = max(error[j], -total[j])  # a link pulls and never pushes
             total[j] += change
@@ -559,3 +558,16 @@ def _chain_spec(spec: CableSpec, floor: float) -> ChainSpec:
 def _interpolate(arcs: Array, known: Array, values: Array) -> Array:
     """Return vectors (k, 3) at arc lengths (k,), between ``values`` (m, 3) at ``known`` (m,)."""
     return np.column_stack([np.interp(arcs, known, values[:, x]) for x in range(3)])
+
+
+@inner
+def _solve_tridiagonal(lower: Array, diagonal: Array, upper: Array, right: Array) -> None:
+    """Solve a tridiagonal system in place (Thomas); ``right`` becomes the solution."""
+    n = len(right)
+    for j in range(1, n):
+        factor = lower[j] / diagonal[j - 1]
+        diagonal[j] -= factor * upper[j - 1]
+        right[j] -= factor * right[j - 1]
+    right[n - 1] /= diagonal[n - 1]
+    for j in range(n - 2, -1, -1):
+        right[j] = (right[j] - upper[j] * right[j + 1]) / diagonal[j]

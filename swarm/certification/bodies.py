@@ -49,8 +49,8 @@ from swarm.certification.strand_pieces import (
     point_movement,
     write_unbounded,
 )
+from swarm.geometry.distance import Vector, difference, dot, moved, size, unit
 from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
-from swarm.geometry.vectors import Vector, difference, dot, moved, size, unit
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, Ints2, contiguous
 

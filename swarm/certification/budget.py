@@ -43,9 +43,8 @@ from swarm.certification.strand_pieces import BIN
 from swarm.certification.swing_tube import PIECES, PairSwing
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
 from swarm.geometry.distance import polyline_polyline
-from swarm.geometry.linear_response import linear_response
 from swarm.geometry.lumped_mass import AIR_DENSITY, NORMAL_DRAG, cable_model
-from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
+from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END, linear_response
 from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]

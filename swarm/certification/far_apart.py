@@ -16,7 +16,7 @@ import numpy.typing as npt
 from swarm.certification.branch_and_bound import Boxes
 from swarm.certification.motion_bounds import TeamStates
 from swarm.certification.strand_pieces import HeldCable
-from swarm.geometry.catenary_kernel import max_depth
+from swarm.geometry.catenary import max_depth
 from swarm.geometry.sensitivity import LARGEST_RATIO
 from swarm.jit import compiled, inner
 from swarm.signatures import Bools1, Floats1, Floats2, Floats3, Ints1, Ints2, contiguous

@@ -39,9 +39,8 @@ from swarm.certification.strand_pieces import (
     write_unbounded,
 )
 from swarm.geometry.catenary import MAX_CHORD_RATIO
-from swarm.geometry.distance import segment_distance
+from swarm.geometry.distance import Vector, difference, dot, moved, segment_distance, unit
 from swarm.geometry.sensitivity import BOTH_ENDS
-from swarm.geometry.vectors import Vector, difference, dot, moved, unit
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, contiguous
 

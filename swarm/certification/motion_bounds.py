@@ -10,9 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.branch_and_bound import ROUNDING, Boxes, Enclosure, Evaluator
-from swarm.geometry.distance import norms
+from swarm.geometry.distance import Vector, norms
 from swarm.geometry.motion import Motion, find_piece, place_in_piece, speed_in_piece
-from swarm.geometry.vectors import Vector
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, Floats4, contiguous
 

@@ -20,37 +20,36 @@ import numpy.typing as npt
 from swarm.certification.branch_and_bound import EnclosureArrays
 from swarm.certification.minima import Intervals
 from swarm.certification.motion_bounds import BoundedMotion, Grip, Instant, MotionTables
-from swarm.geometry.catenary_kernel import (
+from swarm.geometry.catenary import (
+    SMALLEST_HALF_ANGLE,
+    VERTICAL,
     Catenary,
     arc_start,
     max_elevation_sine,
     offset_from,
     solve,
 )
-from swarm.geometry.catenary_shape import SMALLEST_HALF_ANGLE, VERTICAL
-from swarm.geometry.linear_response import (
-    PointResponse,
-    beyond_interpolation,
-    curvature,
-    curvature_table,
-    first_order,
-    movement,
-    point_response,
-    response_to,
-)
+from swarm.geometry.distance import Vector, cross, difference, dot, moved, size, times
 from swarm.geometry.sensitivity import (
     FAR_END,
     LARGEST_RATIO,
     NEAR_END,
     EndMovement,
+    PointResponse,
     Sensitivity,
+    beyond_interpolation,
+    curvature,
+    curvature_table,
     elevation_class,
     finest_piece,
+    first_order,
+    movement,
     movement_bound,
+    point_response,
     ratio_range,
+    response_to,
     sensitivity_tables,
 )
-from swarm.geometry.vectors import Vector, cross, difference, dot, moved, size, times
 from swarm.jit import inner
 from swarm.signatures import Floats1, Floats3, Floats4, contiguous
 
@@ -318,7 +317,7 @@ class Displacement(NamedTuple):
 class Strand(NamedTuple):
     """A hanging strand: its start, the horizontal unit vector to its end, and its catenary.
 
-    Horizontal is across ``down``, its gravity. ``arc`` is :func:`.catenary_kernel.arc_start` of its
+    Horizontal is across ``down``, its gravity. ``arc`` is :func:`.catenary.arc_start` of its
     slope.
     """
 

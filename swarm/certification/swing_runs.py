@@ -17,8 +17,7 @@ import scipy
 from swarm.certification.cable_spans import cable_spans
 from swarm.certification.strand_pieces import BIN
 from swarm.geometry.catenary import STANDARD_GRAVITY, Catenaries, solve_catenaries
-from swarm.geometry.lumped_mass import Strands, SwingModel, cable_model
-from swarm.geometry.strays import Held, subtract_catenaries
+from swarm.geometry.lumped_mass import Held, Strands, SwingModel, cable_model, subtract_catenaries
 from swarm.planning import Plan
 from swarm.planning.clock_limits import COURSE_STEP, ClockLimits, clock_limits
 from swarm.planning.shaping import COMPARED, steps_between_compared

@@ -35,8 +35,7 @@ from swarm.certification.swing_runs import (
 )
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import norms, polyline_polyline
-from swarm.geometry.linear_response import linear_response
-from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END
+from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END, linear_response
 from swarm.jit import compiled
 from swarm.planning import Plan
 from swarm.planning.shaping import COMPARED

@@ -14,16 +14,15 @@ import numpy.typing as npt
 from swarm.certification.bodies import Body, body_distance
 from swarm.certification.cable_spans import exempt_length, exempt_lengths
 from swarm.certification.limits import inside_by, sides_of
-from swarm.geometry.catenary import MAX_CHORD_RATIO
-from swarm.geometry.catenary_kernel import (
-    LEAST_HALF_ANGLE,
+from swarm.geometry.catenary import (
+    MAX_CHORD_RATIO,
     arc_start,
     max_drop_below_ends,
     offset_from,
     sample_strand,
     solve_catenary,
 )
-from swarm.geometry.distance import point_distance, segment_distance
+from swarm.geometry.distance import Vector, point_distance, segment_distance
 from swarm.geometry.sensitivity import (
     BOTH_ENDS,
     FAR_END,
@@ -36,7 +35,6 @@ from swarm.geometry.sensitivity import (
     movement_bound,
     sensitivity_tables,
 )
-from swarm.geometry.vectors import Vector
 from swarm.jit import inner
 from swarm.planning import Plan
 from swarm.signatures import Floats1, Floats2, Floats3, contiguous
@@ -421,7 +419,7 @@ def _reach(
     """
     if strands.known[i, which] < 0.0:
         length = required.lengths[i]
-        strand = solve_catenary(team.position[i], team.position[i + 1], length, LEAST_HALF_ANGLE)
+        strand = solve_catenary(team.position[i], team.position[i + 1], length)
         turning = length / strand.parameter
         along = offset_from(arc_start(strand.slope), fraction, turning)[0]
         strands.known[i, which] = strand.parameter * along

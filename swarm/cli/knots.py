@@ -10,11 +10,12 @@ from rich.console import Console
 from rich.progress import track
 
 from swarm.cli.inputs import JSON, OUTPUT, SET, print_json
-from swarm.errors import Interrupted
+from swarm.errors import InputError, Interrupted, Problem
 from swarm.files import read_text
 from swarm.knots.catalog import lookup_knot, table_names
-from swarm.knots.curve_file import identify_text
-from swarm.knots.table_check import check_table
+from swarm.knots.curve import CurveDefect, parse_curve
+from swarm.knots.gauss import KnotError
+from swarm.knots.invariants import identify_curve
 from swarm.mission.validation import LARGEST_FILE
 from swarm.reports.knots_json import identification_object, knot_object
 from swarm.reports.knots_text import (
@@ -180,6 +181,8 @@ def knots(
 
 def _check_table(as_json: bool) -> int:
     """Check the table with a progress bar, print the result, and return the exit code."""
+    from swarm_knot_table import check_table  # noqa: PLC0415 - no other command needs it
+
     checks = list(
         track(
             check_table(),
@@ -209,9 +212,16 @@ def identify(file: Path, closed: bool, as_json: bool) -> None:
 
     Example: swarm identify curve.csv --closed
     """
-    text = read_text(file, LARGEST_FILE)
-    identification, points = identify_text(text, str(file), closed=closed)
+    points, lines = parse_curve(read_text(file, LARGEST_FILE), str(file))
+    try:
+        identification = identify_curve(points, closed=closed)
+    except CurveDefect as defect:
+        numbers = " and ".join(str(lines[index]) for index in defect.points)
+        where = f": line{'s' * (len(defect.points) > 1)} {numbers}" if numbers else ""
+        raise InputError([Problem(f"{file}{where}", defect.message)]) from None
+    except KnotError as error:
+        raise InputError([Problem(str(file), str(error))]) from None
     if as_json:
         print_json(identification_object(identification))
     else:
-        print_identification(identification, points, Console(highlight=False))
+        print_identification(identification, len(points), Console(highlight=False))

@@ -98,34 +98,37 @@ def run_rope(
 ) -> None:
     """Simulate the rope, print or write the result, and exit with its code."""
     try:
-        from swarm.simulation import rope as simulation  # noqa: PLC0415 - an optional extra
+        import swarm_rope  # noqa: PLC0415 - an optional extra
     except ImportError:
         raise SwarmError("a rope needs MuJoCo: pip install 'swarm-ground-station[rope]'") from None
     if options.flown:
         plan = recorded_plan(options.flown)
         flown = recorded_flight(options.flown, plan)
         trace = true_trace(options.flown, flown) if options.truth else flown.trace
-        trajectories = [simulation.flown_trajectory(plan, trace, str(options.flown))]
+        trajectories = [("as flown", plan, swarm_rope.flown_grips(trace, str(options.flown)))]
     else:
         plan = planned.plan
-        trajectories = [simulation.planned_trajectory("this plan", plan)]
+        trajectories = [("this plan", plan, swarm_rope.planned_grips(plan))]
     if options.compare:
         paper = plan_paper_trajectory(plan.mission).plan
-        trajectories.append(simulation.planned_trajectory(PAPER, paper))
-    results = []
-    for trajectory in trajectories:
+        trajectories.append((PAPER, paper, swarm_rope.planned_grips(paper)))
+    runs = []
+    for name, moved, grips in trajectories:
         with progress_bar(Console(stderr=True)) as progress:
-            results.append(
-                simulation.simulate_rope(
-                    trajectory,
+            runs.append(
+                swarm_rope.simulate_rope(
+                    moved,
+                    grips,
+                    name,
                     links=options.links,
                     contact=not options.no_contact,
+                    wind=(moved.mission.wind.steady, 0.0, 0.0),
                     progress=progress,
                 )
             )
-    documents = [result.document() for result in results]
+    documents = [run.document() for run in runs]
     if options.plot or options.report:
-        figure = rope_figure(list(map(rope_curves, results)), plan.mission.clearance.cable)
+        figure = rope_figure(list(map(rope_curves, runs)), plan.mission.clearance.cable)
         if options.plot:
             save(figure, options.plot)
         if options.report:
@@ -137,5 +140,4 @@ def run_rope(
     else:
         for document in documents:
             print_rope(document, plan, Console())
-    run = results[0].run
-    context.exit(0 if run.as_planned and not run.invalid else 1)
+    context.exit(0 if runs[0].as_planned and not runs[0].invalid else 1)

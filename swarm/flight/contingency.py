@@ -13,13 +13,13 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from swarm.analysis.separation import separation_motion, solo_landing_distance
 from swarm.certification.contingency_windows import above_rotors, rotors_clear
 from swarm.flight.detect import SLOW_FROM, STOPPED_RATE
 from swarm.flight.failures import ENDS, End, Response, Windows
 from swarm.flight.observing import follow_swing, monitor
 from swarm.flight.pace import advance_clock, allowed_pace, rewind_end
 from swarm.flight.router import answer_limit
+from swarm.flight.separation import separation_motion, solo_landing_distance
 from swarm.flight.stages import Stage, Step, StepTrigger, Trigger
 from swarm.flight.state import Contingency, FlightState
 from swarm.flight.streams import continue_rejoining, outside

@@ -8,9 +8,8 @@ ArduPilot cannot use it: see :class:`swarm.mavlink.autopilots.Autopilot`.
 import numpy as np
 import numpy.typing as npt
 
-from swarm.geometry import catenary_kernel
-from swarm.geometry.catenary import STANDARD_GRAVITY
-from swarm.geometry.floor import rest_on_floor
+from swarm.geometry import catenary
+from swarm.geometry.catenary import STANDARD_GRAVITY, rest_on_floor
 from swarm.jit import allocates, inner
 from swarm.planning import Plan
 from swarm.signatures import Floats1, Floats2
@@ -52,13 +51,13 @@ def end_forces(
     """Return the forces (n, 3) of n strands on their starts and ends; newtons, ENU.
 
     ``start`` and ``end`` (n, 3) in metres above the floor at z = 0, no farther apart than
-    ``lengths`` (n,). What :func:`swarm.geometry.floor.rest_on_floor` has, quickly enough for
+    ``lengths`` (n,). What :func:`swarm.geometry.catenary.rest_on_floor` has, quickly enough for
     flight.
     """
     on_start, on_end = np.empty(start.shape), np.empty(start.shape)
     weight = STANDARD_GRAVITY * mass_per_length
     for strand in range(len(lengths)):
-        catenary_kernel.end_forces(
+        catenary.end_forces(
             start[strand], end[strand], lengths[strand], weight, on_start[strand], on_end[strand]
         )
     return on_start, on_end

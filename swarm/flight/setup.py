@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm.analysis.separation import Separations, separations
 from swarm.certification.contingency_windows import ContingencyWindows, contingency_windows
 from swarm.certification.monitor import Monitor
 from swarm.errors import Refused
 from swarm.flight.bench_flight import is_bare
 from swarm.flight.flight_plan import Basis, FlightPlan, basis_of
 from swarm.flight.load import PlannedPull
+from swarm.flight.separation import Separations, separations
 from swarm.flight.swinging import SwingEstimator
 from swarm.mission.fleet import Fleet
 from swarm.planning import Gate, Plan

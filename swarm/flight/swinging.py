@@ -19,7 +19,7 @@ from swarm.certification.excitation import allowed_swing
 from swarm.certification.swing_runs import model_of
 from swarm.certification.swing_tube import SwingTube
 from swarm.flight.trace import Trace
-from swarm.geometry.catenary_kernel import sample_strand
+from swarm.geometry.catenary import sample_strand
 from swarm.geometry.distance import point_distance
 from swarm.geometry.lumped_mass import Strands, SwingModel
 from swarm.jit import compiled

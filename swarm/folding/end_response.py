@@ -10,11 +10,11 @@ in 153 s instead of 137 s, 7_4 in 221 s instead of 175 s.
 import numpy as np
 import numpy.typing as npt
 
-from swarm.geometry.catenary import MAX_CHORD_RATIO
-from swarm.geometry.catenary_kernel import Catenary
-from swarm.geometry.linear_response import DEGENERATE, point_response
+from swarm.geometry.catenary import MAX_CHORD_RATIO, Catenary
+from swarm.geometry.distance import Vector
 from swarm.geometry.sensitivity import (
     BOTH_ENDS,
+    DEGENERATE,
     FAR_END,
     EndMovement,
     Sensitivity,
@@ -22,8 +22,8 @@ from swarm.geometry.sensitivity import (
     chord_response,
     finest_piece,
     movement_bound,
+    point_response,
 )
-from swarm.geometry.vectors import Vector
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats3
 

@@ -14,13 +14,12 @@ from swarm.folding.margins import Margins, PenaltyModel
 from swarm.folding.outlines import PIECES, reachable_length
 from swarm.folding.soft_constraints import margin_cost, vehicle_cost
 from swarm.folding.vehicle_clearance import DISC_ERRORS, rotor_disc_cost
-from swarm.geometry.catenary_kernel import (
-    LEAST_HALF_ANGLE,
+from swarm.geometry.catenary import (
     Catenary,
+    drop_at,
     solve_catenary,
     strand_polygon,
 )
-from swarm.geometry.catenary_shape import drop_at
 from swarm.geometry.distance import point_distance
 from swarm.geometry.sensitivity import BOTH_ENDS, FINEST, chord_response, error_of_ends
 from swarm.jit import compiled, inner
@@ -222,7 +221,7 @@ def _surface_cost(
             continue
         if not solved:
             enough = reachable_length(length, chord)
-            strand = solve_catenary(rear, front, enough, LEAST_HALF_ANGLE)
+            strand = solve_catenary(rear, front, enough)
             angle, turn = math.asinh(strand.slope), strand.span / strand.parameter
             solved = True
         half_turn = 0.5 * turn * share

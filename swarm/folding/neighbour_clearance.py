@@ -13,9 +13,8 @@ from swarm.folding.end_response import add_to_ends, arc_fraction, largest_respon
 from swarm.folding.margins import Penalty, PenaltyModel, Team
 from swarm.folding.outlines import PIECES, direction_between, point_at
 from swarm.folding.strand_clearance import preferred_distance
-from swarm.geometry.distance import point_distance, polyline_distance
+from swarm.geometry.distance import point_distance, polyline_distance, times
 from swarm.geometry.sensitivity import FAR_END, FINEST, NEAR_END, error_of_ends, finest_piece
-from swarm.geometry.vectors import times
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats4
 

@@ -5,10 +5,8 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm.geometry.catenary import MAX_CHORD_RATIO
-from swarm.geometry.catenary_kernel import strand_polygon
-from swarm.geometry.distance import bounding_boxes, point_distance
-from swarm.geometry.vectors import Vector, difference
+from swarm.geometry.catenary import MAX_CHORD_RATIO, strand_polygon
+from swarm.geometry.distance import Vector, bounding_boxes, difference, point_distance
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, Floats4, record
 

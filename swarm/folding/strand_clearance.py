@@ -18,9 +18,8 @@ from swarm.folding.outlines import (
     direction_between,
     plan_crossing,
 )
-from swarm.geometry.distance import boxes_closer, polyline_distance
+from swarm.geometry.distance import boxes_closer, polyline_distance, times
 from swarm.geometry.sensitivity import BOTH_ENDS, error_of_ends
-from swarm.geometry.vectors import times
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Signs2
 

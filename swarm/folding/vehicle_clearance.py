@@ -13,8 +13,8 @@ from swarm.folding.end_response import add_to, add_to_ends, arc_fraction, point_
 from swarm.folding.margins import Margins, Penalty, PenaltyModel, Team
 from swarm.folding.outlines import PIECES, height_at_span, point_at
 from swarm.folding.strand_clearance import PREFERRED
+from swarm.geometry.distance import Vector, times
 from swarm.geometry.sensitivity import BOTH_ENDS, error_of_ends
-from swarm.geometry.vectors import Vector, times
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, Signs3
 

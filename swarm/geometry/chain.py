@@ -59,23 +59,6 @@ def polyline(corners: ArrayLike, lengths: ArrayLike, points_per_segment: int) ->
     return np.concatenate([merged, last], axis=-2)
 
 
-def alpha(corners: ArrayLike, sags: ArrayLike, r: ArrayLike) -> Floats:
-    """Return points α(r) (k, 3) of the chain at horizontal distances r (k,) along its corners.
-
-    Paper eq. 3 (one catenary, placed) and eq. 4 (the chain), r from 0 to the sum of the spans. The
-    print shifts by half spans and starts each piece at its middle; here the pieces join. Headings
-    are those of the corners, heights may differ.
-    """
-    corners, r = _floats(corners), _floats(r)
-    steps = np.diff(corners, axis=0)
-    begins = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
-    if not np.all((r >= 0.0) & (r <= begins[-1] * (1.0 + 1e-12))):
-        raise ValueError(f"r must lie between 0 and {begins[-1]:g}, the sum of the spans")
-    i = np.clip(np.searchsorted(begins, r, side="right") - 1, 0, len(steps) - 1)
-    strands = solve_catenaries(corners[i], corners[i + 1], segment_lengths(corners, sags)[i])
-    return strands.at_span(np.minimum((r - begins[i]) / strands.span, 1.0))
-
-
 def plan_crossings(corners: ArrayLike) -> PlanCrossings:
     """Return every pair of segments that cross in plan view, by index in ascending order.
 
@@ -127,20 +110,6 @@ def crossing_gaps(corners: ArrayLike, lengths: ArrayLike, crossings: ArrayLike) 
     heights = strands.at_span(fractions)[..., 2]
     gaps: Floats = heights[..., 0] - heights[..., 1]
     return gaps
-
-
-def minimum_under_sag(grid_size: ArrayLike, cell: ArrayLike, sag_over: ArrayLike) -> Floats:
-    """Return the least h_max that separates every crossing of any N×N grid.
-
-    Proposition 1 of the paper, corrected:
-    h_max > h_min + ā·cosh((L − 3d)/2ā) − ā, with L = N·d and ā of a catenary with sag h_max and
-    span L − d. Both sides hold h_max: the root is where the widest under strand has dropped h_min
-    within one cell from its end. (The print adds ā, and its proof has L − d for L − 3d.)
-    """
-    size = _floats(grid_size)
-    if np.any(size < 3.0):
-        raise ValueError("a grid with crossings has at least three rows")
-    return sag_for_drop((size - 1.0) * _floats(cell), sag_over, 1.0 / (size - 1.0))
 
 
 def minimum_sags(

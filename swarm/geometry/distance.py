@@ -1,10 +1,12 @@
-"""Distances between segments, polylines and boxes, for planner, certificate and flight alike.
+"""Vectors, distances between segments, polylines and boxes, and how much two curves cross.
 
 Functions on arrays are batched over leading dimensions and exact for straight pieces; the error of
 a polyline in place of a catenary is at most the distance of the catenary from its chords. Compiled
-functions take single segments, polylines and boxes.
+functions take single vectors (tuples of three numbers: no arrays, and no memory for them),
+segments, polylines and boxes.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +16,57 @@ from swarm.jit import compiled, inner
 from swarm.signatures import Floats2, Floats3, Floats4, Ints2, contiguous
 
 Floats = NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+
+@inner
+def difference(one: Vector, other: Vector) -> Vector:
+    """Return one vector less the other."""
+    return one[0] - other[0], one[1] - other[1], one[2] - other[2]
+
+
+@inner
+def size(vector: Vector) -> float:
+    """Return the length of a vector."""
+    return math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
+
+
+@inner
+def dot(one: Vector, other: Vector) -> float:
+    """Return the product of two vectors; summed as by ``numpy.einsum``, to the last bit."""
+    return one[0] * other[0] + one[2] * other[2] + one[1] * other[1]
+
+
+@inner
+def cross(one: Vector, other: Vector) -> Vector:
+    """Return the vector product of two vectors."""
+    return (
+        one[1] * other[2] - one[2] * other[1],
+        one[2] * other[0] - one[0] * other[2],
+        one[0] * other[1] - one[1] * other[0],
+    )
+
+
+@inner
+def times(share: float, vector: Vector) -> Vector:
+    """Return a multiple of a vector."""
+    return share * vector[0], share * vector[1], share * vector[2]
+
+
+@inner
+def moved(start: Vector, share: float, step: Vector) -> Vector:
+    """Return the point that is a share of a step from a start."""
+    return start[0] + share * step[0], start[1] + share * step[1], start[2] + share * step[2]
+
+
+@inner
+def unit(vector: Vector) -> Vector:
+    """Return the unit vector; straight up for a vector of no length."""
+    length = size(vector)
+    if length > 1e-12:
+        return vector[0] / length, vector[1] / length, vector[2] / length
+    return 0.0, 0.0, 1.0
+
 
 _RUN = 8
 """Pieces of a long polyline that are skipped together."""
@@ -285,3 +338,52 @@ def boxes_closer(one: Floats, i: int, other: Floats, j: int, limit: float) -> bo
         if gap >= limit:
             return False
     return True
+
+
+_NO_AREA = 1e-12
+"""Square metres of a triangle below which an edge sees the other end on: its integral is 0."""
+
+
+@inner
+def gauss_integral(one: Floats, other: Floats) -> float:
+    """Return the Gauss integral of polylines (k, 3) and (m, 3), over 4π.
+
+    It is the number of crossings of the two with their signs, averaged over all directions of view;
+    for closed curves, the linking number. The sum over edges of Klenin and Langowski (2000), eq. 13
+    to 16.
+    """
+    total = 0.0
+    for i in range(len(one) - 1):
+        for j in range(len(other) - 1):
+            total += _edge_integral(one[i], one[i + 1], other[j], other[j + 1])
+    return total / (4.0 * np.pi)
+
+
+@inner
+def _edge_integral(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
+    """Return the integral of edges ab and cd: the area of directions in which they cross."""
+    ac = (c[0] - a[0], c[1] - a[1], c[2] - a[2])
+    ad = (d[0] - a[0], d[1] - a[1], d[2] - a[2])
+    bc = (c[0] - b[0], c[1] - b[1], c[2] - b[2])
+    bd = (d[0] - b[0], d[1] - b[1], d[2] - b[2])
+    n1, n2, n3, n4 = cross(ac, ad), cross(ad, bd), cross(bd, bc), cross(bc, ac)
+    s1, s2, s3, s4 = _product(n1, n1), _product(n2, n2), _product(n3, n3), _product(n4, n4)
+    if min(s1, s2, s3, s4) < _NO_AREA * _NO_AREA:
+        return 0.0
+    area = _arc(_product(n1, n2), s1 * s2) + _arc(_product(n2, n3), s2 * s3)
+    area += _arc(_product(n3, n4), s3 * s4) + _arc(_product(n4, n1), s4 * s1)
+    along = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
+    other = (d[0] - c[0], d[1] - c[1], d[2] - c[2])
+    return float(area * np.sign(_product(cross(other, along), ac)))
+
+
+@inner
+def _product(u: Vector, v: Vector) -> float:
+    """As :func:`dot`, summed in the order of the axes."""
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+
+
+@inner
+def _arc(product: float, squares: float) -> float:
+    """Return the arc sine of an inner product over the root of the product of squared sizes."""
+    return float(np.arcsin(min(max(product / np.sqrt(squares), -1.0), 1.0)))

@@ -1,24 +1,23 @@
 """The catalogue: a knot's name or code → its diagram and the smallest grid diagram."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from swarm.knots.connected_sums import Factor, name_of_sum
-from swarm.knots.diagram import Diagram, diagram_of_pd, diagrams_of_dt, diagrams_of_gauss
+from swarm.knots.diagram import (
+    Diagram,
+    diagram_of_pd,
+    diagrams_of_dt,
+    diagrams_of_gauss,
+    simplified,
+)
 from swarm.knots.gauss import KnotError, SignedGauss
-from swarm.knots.grid import Grid, OpenGrid, grid_of_columns, openings, stabilised
+from swarm.knots.grid import Grid, OpenGrid, grid_of_columns, openings
 from swarm.knots.grid import mirrored as mirrored_grid
-from swarm.knots.grid_drawing import UNKNOT, grid_of_diagram
-from swarm.knots.grid_reduction import smallest_grid
-from swarm.knots.grid_search import random_grids
-from swarm.knots.group_representations import sum_diagram
-from swarm.knots.invariants import Identification, identify_diagram
-from swarm.knots.names import ParsedName, parse_name, torus_grid
-from swarm.knots.simplify import simplified
+from swarm.knots.grid_search import UNKNOT, grid_of_diagram, smallest_grid
+from swarm.knots.invariants import Identification, identify_diagram, sum_diagram
+from swarm.knots.names import Factor, ParsedName, name_of_sum, parse_name, torus_grid
 from swarm.knots.table import knot_table, prime_knot
-
-__all__ = ["KnotChoice", "choose_knot", "lookup_knot", "other_grids", "table_names"]
 
 
 @dataclass(frozen=True)
@@ -246,18 +245,3 @@ def _best_known(
     return KnotChoice(
         "unknown", chirality, diagram.code.text(), diagram, small, known.crossings, (warning,)
     )
-
-
-def other_grids(choice: KnotChoice, *, larger: int = 0, seed: int = 1) -> Iterator[Grid]:
-    """Yield other grid diagrams of the same knot that can be opened, endlessly, each a new one.
-
-    They have the size of ``choice.grid`` plus ``larger``. Deterministic for a seed.
-    """
-    shape = choice.grid
-    for step in range(larger):
-        shape = stabilised(shape, 1 + step % shape.size, high=True, right=True, above=True)
-    seen = {choice.grid}
-    for grid in random_grids(shape, seed=seed):
-        if grid not in seen and openings(grid, limit=1):
-            seen.add(grid)
-            yield grid

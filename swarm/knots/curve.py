@@ -1,17 +1,20 @@
-"""The signed Gauss code of a polygonal curve's plan view, seen from above (from +z).
+"""Curves in space: from text files, their defects, and the signed Gauss code of their plan view.
 
-The flight certificate depends on the exact comparison of this code with the code of a diagram.
-Therefore no rounding is silent: where floating point cannot determine on which side of a strand a
-point lies, the plan is shifted several ways, by less than any physical length, and the code is
-valid only if all results agree.
+The plan view is seen from above (from +z). The flight certificate depends on the exact comparison
+of its code with the code of a diagram. Therefore no rounding is silent: where floating point cannot
+determine on which side of a strand a point lies, the plan is shifted several ways, by less than any
+physical length, and the code is valid only if all results agree.
 """
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from swarm.errors import InputError, Problem, shown
 from swarm.knots.gauss import KnotError, SignedGauss, same_code
+from swarm.tables import Table
 
 Points = NDArray[np.float64]
 
@@ -30,6 +33,12 @@ _AT_ONCE = 2_000_000
 
 _ROUNDING = 4e-16
 """Shewchuk's bound for the orientation test, 3.33e-16, rounded up."""
+
+LARGEST_EXTENT = 1e100
+SMALLEST_EXTENT = 1e-100
+"""Extents of a curve between which products neither overflow nor underflow."""
+
+_INDEX = re.compile(r"[0-9]{1,9}")
 
 
 @dataclass(frozen=True)
@@ -115,12 +124,17 @@ def validated_curve(points: Points, *, closed: bool) -> Points:
         row = int(np.flatnonzero(~np.isfinite(curve).all(axis=1))[0])
         raise KnotError(f"point {row + 1} of the curve is not finite")
     with np.errstate(over="ignore"):
-        same = REPEATED * float(np.max(np.ptp(curve, axis=0)))
-        steps = np.max(np.abs(np.diff(curve, axis=0)), axis=1)
-    curve = curve[np.concatenate([[True], steps > same])]
-    if closed and len(curve) > 1 and np.max(np.abs(curve[0] - curve[-1])) <= same:
-        return curve[:-1]
-    return curve
+        return curve[_distinct(curve, REPEATED * float(np.max(np.ptp(curve, axis=0))), closed)]
+
+
+def _distinct(points: Points, same: float, closed: bool) -> NDArray[np.int64]:
+    """Return the indices of the points that are farther than ``same`` from the point before."""
+    steps = np.max(np.abs(np.diff(points, axis=0)), axis=1)
+    indices = np.flatnonzero(np.concatenate([[True], steps > same])[: len(points)])
+    ends = points[indices[[0, -1]]]
+    if closed and len(indices) > 1 and np.max(np.abs(ends[1] - ends[0])) <= same:
+        return indices[:-1]
+    return indices
 
 
 def overlapping_segments(corners: Points, *, closed: bool, margin: float) -> NDArray[np.int64]:
@@ -203,3 +217,127 @@ def _code(view: _View, pairs: NDArray[np.int64]) -> SignedGauss | None:
     return SignedGauss.of(
         zip(label.tolist(), over.tolist(), signs.tolist(), strict=True), closed=view.closed
     )
+
+
+class CurveDefect(KnotError):  # noqa: N818 - names the state of the curve
+    """A curve has no knot: it has too few points, or its strands meet.
+
+    ``points`` are the indices of the points at which, and ``message`` says why.
+    """
+
+    def __init__(self, points: tuple[int, ...], message: str) -> None:
+        self.points, self.message = points, message
+        numbers = " and ".join(str(index + 1) for index in points)
+        where = f" (point{'s' * (len(points) > 1)} {numbers})" if numbers else ""
+        super().__init__(message + where)
+
+
+def find_defect(points: Points, *, closed: bool) -> CurveDefect | None:
+    """Return why a curve (n, 3) of finite points has no knot, or None where it has one.
+
+    Consecutive points in the same place count once. Strands meet where their distance is at most
+    ``REPEATED`` × the curve's extent, the limit of floating point. Whether an open curve meets its
+    closure is not checked.
+    """
+    with np.errstate(over="ignore"):
+        extent = float(np.max(np.ptp(points, axis=0)))
+    if extent > LARGEST_EXTENT or (0.0 < extent < SMALLEST_EXTENT):
+        size = f"{SMALLEST_EXTENT:g} to {LARGEST_EXTENT:g}"
+        return CurveDefect((), f"expected a curve of {size} in size, got {extent:g}")
+    distinct = _distinct(points, REPEATED * extent, closed)
+    if len(distinct) < 3:
+        return CurveDefect((), f"expected at least 3 different points, got {len(distinct)}")
+    # Scaled to 0…1, so that no product overflows or underflows.
+    curve = (points[distinct] - points[distinct].min(axis=0)) / extent
+    return _backward_step(curve, distinct, closed) or _meeting_segments(curve, distinct, closed)
+
+
+def _backward_step(curve: Points, distinct: NDArray[np.int64], closed: bool) -> CurveDefect | None:
+    """Return the first point after which a curve runs back along its last segment."""
+    come = curve - np.roll(curve, 1, axis=0)
+    go = np.roll(curve, -1, axis=0) - curve
+    aside = np.linalg.norm(np.cross(come, go), axis=1)
+    sizes = np.linalg.norm(come, axis=1) * np.linalg.norm(go, axis=1)
+    back = (aside <= REPEATED * sizes) & (np.sum(come * go, axis=1) < 0.0)
+    if not closed:
+        back[[0, -1]] = False
+    at = np.flatnonzero(back)
+    if not len(at):
+        return None
+    return CurveDefect((int(distinct[at[0]]),), "the curve goes back along itself from here")
+
+
+def _meeting_segments(
+    curve: Points, distinct: NDArray[np.int64], closed: bool
+) -> CurveDefect | None:
+    """Return the first two segments that meet and are not neighbours."""
+    start, end = curve, np.roll(curve, -1, axis=0)
+    pairs = overlapping_segments(curve, closed=closed, margin=REPEATED)
+    first, second = pairs.T
+    gap = _distances(start[first], end[first], start[second], end[second])
+    at = np.flatnonzero(gap <= REPEATED)
+    if not len(at):
+        return None
+    earlier, later = sorted(int(distinct[index]) for index in pairs[at[0]])
+    return CurveDefect((earlier, later), "the segments of the curve that begin here meet")
+
+
+def _distances(a: Points, b: Points, c: Points, d: Points) -> NDArray[np.float64]:
+    """Return distances (n,) between segments a–b and c–d, each (n, 3), none of length 0.
+
+    After Ericson, Real-Time Collision Detection, 2005, 5.1.9.
+    """
+    one, two, between = b - a, d - c, a - c
+    own, other, shared = _dot(one, one), _dot(two, two), _dot(one, two)
+    on_one, on_two = _dot(one, between), _dot(two, between)
+    area = own * other - shared**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = np.where(area > 0.0, (shared * on_two - on_one * other) / area, 0.0)
+    s = np.clip(s, 0.0, 1.0)  # where they are parallel, any s is valid
+    t = np.clip((shared * s + on_two) / other, 0.0, 1.0)
+    s = np.clip((shared * t - on_one) / own, 0.0, 1.0)
+    apart = between + s[:, None] * one - t[:, None] * two
+    return np.sqrt(_dot(apart, apart))
+
+
+def _dot(a: Points, b: Points) -> NDArray[np.float64]:
+    product: NDArray[np.float64] = np.sum(a * b, axis=1)
+    return product
+
+
+def parse_curve(text: str, source: str) -> tuple[Points, list[int]]:
+    """Return points (n, 3) and their line numbers.
+
+    A row has three numbers, or an index that counts by one before them, or a heading names the
+    columns x, y and z. Commas, semicolons, tabs or spaces separate; lines that begin with # are
+    comments. Raises :class:`InputError` with each wrong line (at most MOST_PROBLEMS).
+    """
+    table = Table(text, source, spaces=True)
+    indexed, start = not table.heading and table.columns == 4, 1
+    if table.heading:
+        columns = table.find({"x": "m", "y": "m", "z": "m"})
+    elif table.columns in {0, 3, 4}:
+        columns = (1, 2, 3) if indexed else (0, 1, 2)
+    else:
+        message = "expected three numbers, an index and three numbers, or a heading with x, y and "
+        message += f"z, got {table.columns} entries"
+        if table.columns == 1:
+            message += "; the .xyz of a molecule has no curve"
+        raise InputError([Problem(f"{source}: line {table.heading_line}", message)])
+    rows: list[list[float]] = []
+    lines: list[int] = []
+    for line, cells in table:
+        rows.append([table.number(line, cells, column) for column in columns])
+        lines.append(line)
+        if indexed:
+            start = start if len(rows) > 1 else int(cells[0]) if _INDEX.fullmatch(cells[0]) else 1
+            if cells[0] != str(start + len(rows) - 1):
+                message = (
+                    f"expected the index {start + len(rows) - 1}, since there are four columns "
+                )
+                message += f"without a heading, got {shown(cells[0])}"
+                raise InputError([*table.problems, Problem(table.place(line, 0), message)])
+    if len(rows) < 3 and not table.problems:
+        table.add(Problem(source, f"expected at least 3 points, got {len(rows)}"))
+    table.finish()
+    return np.array(rows), lines

@@ -1,9 +1,8 @@
-"""Grid diagrams (arc presentations): validity, crossings, Cromwell's moves, openings.
+"""Grid diagrams (arc presentations): validity, crossings, symmetries, openings.
 
 A grid diagram of size N has one vertical edge in each of N columns and one horizontal edge in each
 of N rows; verticals pass over horizontals. Columns count from 1 at the left, rows from 1 at the
-bottom. Cromwell's moves (Cromwell 1995, "Embedding knots and links in an open book I") connect any
-two grid diagrams of one knot, and preserve the knot.
+bottom.
 """
 
 from collections import Counter
@@ -80,6 +79,11 @@ class OpenGrid:
     crossings: tuple[tuple[int, int], ...]
 
     @property
+    def code(self) -> SignedGauss:
+        """The signed Gauss code from the first to the last corner."""
+        return _path_code(self.corners, closed=False)
+
+    @property
     def length(self) -> int:
         """Total length of the segments in plan, in cells."""
         pairs = zip(self.corners, self.corners[1:], strict=False)
@@ -153,11 +157,6 @@ def _passes(corners: tuple[Corner, ...], *, closed: bool) -> list[tuple[int, int
     return found
 
 
-def opening_gauss(opened: OpenGrid) -> SignedGauss:
-    """Return the signed Gauss code of an opened grid diagram, from first to last corner."""
-    return _path_code(opened.corners, closed=False)
-
-
 def grid_of_columns(columns: object) -> Grid:
     """Return the grid of nested lists of row pairs, in either order, as in a mission file."""
     if not isinstance(columns, list | tuple):
@@ -179,12 +178,6 @@ def mirrored(grid: Grid) -> Grid:
     return Grid(grid.columns[::-1])
 
 
-def turned(grid: Grid) -> Grid:
-    """Return the grid rotated by 180° in its plane: the same knot."""
-    size = grid.size
-    return Grid(tuple((size + 1 - high, size + 1 - low) for low, high in grid.columns[::-1]))
-
-
 def transposed(grid: Grid) -> Grid:
     """Return the grid of the same knot with rows and columns exchanged.
 
@@ -199,65 +192,6 @@ def translated(grid: Grid, columns: int, rows: int) -> Grid:
     start = -columns % size
     shifted = grid.columns[start:] + grid.columns[:start]
     return Grid(tuple(_pair(*((row - 1 + rows) % size + 1 for row in pair)) for pair in shifted))
-
-
-def commuted(grid: Grid, column: int) -> Grid:
-    """Return the grid with columns ``column`` and ``column + 1`` (cyclic) exchanged.
-
-    Raises KnotError if their edges interleave or share a row, which would change the knot.
-    """
-    first, second = column - 1, column % grid.size
-    if not 1 <= column <= grid.size or first == second:
-        raise KnotError(f"there is no column {column} in a grid of size {grid.size}")
-    one, two = grid.columns[first], grid.columns[second]
-    if interleaved(one, two):
-        raise KnotError(f"columns {first + 1} and {second + 1} cannot be exchanged: {one}, {two}")
-    columns = list(grid.columns)
-    columns[first], columns[second] = two, one
-    return Grid(tuple(columns))
-
-
-def interleaved(one: tuple[int, int], two: tuple[int, int]) -> bool:
-    """Return whether two pairs interleave on a circle, or share an end."""
-    return (one[0] <= two[0] <= one[1]) != (one[0] <= two[1] <= one[1]) or bool({*one} & {*two})
-
-
-def stabilised(grid: Grid, column: int, *, high: bool, right: bool, above: bool) -> Grid:
-    """Return the grid with one column and one row more, at the low or high end of a column.
-
-    That end moves to a corner of a new unit step: a new column of length 1 to the ``right`` or left
-    of it, whose far end (``above`` or below) becomes the end of the row's edge.
-    """
-    if not 1 <= column <= grid.size:
-        raise KnotError(f"there is no column {column} in a grid of size {grid.size}")
-    row = grid.columns[column - 1][1 if high else 0]
-    own, far = (row, row + 1) if above else (row + 1, row)
-
-    def moved(pair: tuple[int, int], here: int) -> tuple[int, int]:
-        return _pair(*(here if r == row else r + (r > row) for r in pair))
-
-    columns = [
-        moved(pair, own if number == column else far) for number, pair in enumerate(grid.columns, 1)
-    ]
-    columns.insert(column if right else column - 1, (row, row + 1))
-    return Grid(tuple(columns))
-
-
-def destabilised(grid: Grid, column: int) -> Grid:
-    """Return the grid without a column of length 1 (also across the border), its rows merged.
-
-    Raises KnotError for a longer column or a grid of size 2.
-    """
-    if not 1 <= column <= grid.size:
-        raise KnotError(f"there is no column {column} in a grid of size {grid.size}")
-    low, high = grid.columns[column - 1]
-    if grid.size < 3 or high - low not in {1, grid.size - 1}:
-        raise KnotError(f"column {column} is not of length 1: {(low, high)}")
-    if high - low != 1:
-        grid = translated(grid, 0, 1)
-        low, high = grid.columns[column - 1]
-    columns = grid.columns[: column - 1] + grid.columns[column:]
-    return Grid(tuple(_pair(*(r - (r > low) for r in pair)) for pair in columns))
 
 
 def _pair(one: int, two: int) -> tuple[int, int]:

@@ -1,37 +1,367 @@
-"""Identification of the knot of a diagram or of a curve in space.
+"""Invariants of knots, and the identification of the knot of a diagram or of a curve in space.
 
 The result is exact, not only likely. A diagram is first simplified and split into its visible
 summands. A part with at most ten crossings can only be a knot of the table or a sum of such knots,
 so the invariants have to distinguish only those, with chirality. A part with more crossings can be
 any knot: it is ``unknown``, and the table's knots with the same invariants are candidates.
+
+First come the invariants: the polynomials of Alexander and Jones, and representations of the knot
+group for knots with equal polynomials.
 """
 
 import itertools
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from swarm.knots.alexander import alexander_polynomial
-from swarm.knots.chirality import chirality_sign
-from swarm.knots.connected_sums import (
-    CHIRALITIES,
-    Factor,
-    canonical_factors,
-    name_of_sum,
-    table_order,
-)
-from swarm.knots.curve import Points, curve_gauss, validated_curve
-from swarm.knots.curve_defects import find_defect
-from swarm.knots.diagram import Diagram
+from swarm.knots.curve import Points, curve_gauss, find_defect, validated_curve
+from swarm.knots.diagram import Diagram, simplified
 from swarm.knots.gauss import KnotError, SignedGauss
-from swarm.knots.grid_drawing import grid_of_diagram
-from swarm.knots.grid_search import minimise_grid, random_grids
-from swarm.knots.group_representations import matching_candidates
-from swarm.knots.jones import Polynomial, jones_polynomial
-from swarm.knots.simplify import simplified
+from swarm.knots.grid_search import grid_of_diagram, minimise_grid, random_grids
+from swarm.knots.names import CHIRALITIES, Factor, canonical_factors, name_of_sum, table_order
 from swarm.knots.table import Laurent, knot_table, prime_knot
+
+MODULUS = 2**31 - 1
+"""The prime p of all arithmetic."""
+
+
+def alexander_polynomial(diagram: Diagram) -> dict[int, int]:
+    """Return the Alexander polynomial {power: coefficient}, symmetric, with value 1 at t = 1.
+
+    It is a minor of the Alexander matrix (Alexander 1928), evaluated and interpolated modulo the
+    prime 2³¹ − 1. The coefficients are at most the determinant of the knot, which is far smaller
+    for every diagram of a cable.
+    """
+    count = diagram.crossings
+    if count < 3:
+        return {0: 1}
+    points = np.arange(2, count + 2, dtype=np.int64)
+    values = _determinants(_matrices(diagram.code, points))
+    coefficients = _interpolated(points.tolist(), values.tolist())
+    while coefficients and coefficients[-1] == 0:
+        coefficients.pop()
+    low = next(k for k, c in enumerate(coefficients) if c)
+    spread = coefficients[low:]
+    signed = [c - MODULUS if c > MODULUS // 2 else c for c in spread]
+    unit = sum(signed)
+    return {k - len(signed) // 2: unit * c for k, c in enumerate(signed) if c}
+
+
+def crossing_arcs(code: SignedGauss) -> list[tuple[int, int, int, int]]:
+    """Return for each crossing: over arc, incoming and outgoing under arc, sign.
+
+    Arcs run from one under pass to the next; arc 0 ends at the first under pass.
+    """
+    count = code.crossings
+    over_arc: dict[int, int] = {}
+    under: dict[int, tuple[int, int, int]] = {}
+    arc = 0
+    for label, over, sign in code.passes:
+        if over:
+            over_arc[label] = arc
+        else:
+            under[label] = (arc, (arc + 1) % count, sign)
+            arc = (arc + 1) % count
+    return [(over_arc[label], *under[label]) for label in under]
+
+
+def _matrices(code: SignedGauss, points: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return minors of the Alexander matrix at each point, (points, n − 1, n − 1), modulo p."""
+    count = code.crossings
+    matrix = np.zeros((len(points), count, count), dtype=np.int64)
+    for row, (over, into, out, sign) in enumerate(crossing_arcs(code)):
+        before, after = (into, out) if sign > 0 else (out, into)
+        matrix[:, row, over] += 1 - points
+        matrix[:, row, before] += points
+        matrix[:, row, after] -= 1
+    return matrix[:, 1:, 1:] % MODULUS
+
+
+def _determinants(matrices: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return determinants modulo p, by elimination of all matrices at once."""
+    work = matrices.copy()
+    batch, size, _ = work.shape
+    result = np.ones(batch, dtype=np.int64)
+    every = np.arange(batch)
+    for k in range(size):
+        pivot_row = k + np.argmax(work[:, k:, k] != 0, axis=1)
+        result = np.where(pivot_row != k, -result, result) % MODULUS
+        swapped = work[every, pivot_row].copy()
+        work[every, pivot_row] = work[:, k]
+        work[:, k] = swapped
+        pivot = work[:, k, k]
+        result = result * pivot % MODULUS
+        factor = work[:, k + 1 :, k] * _inverses(pivot)[:, None] % MODULUS
+        work[:, k + 1 :] = (
+            work[:, k + 1 :] - factor[:, :, None] * work[:, k, None, :] % MODULUS
+        ) % MODULUS
+    return result
+
+
+def _inverses(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return inverses modulo p; 0 for 0, whose determinant is 0 anyway."""
+    return np.array([pow(v, -1, MODULUS) if v else 0 for v in values.tolist()], dtype=np.int64)
+
+
+def _interpolated(points: list[int], values: list[int]) -> list[int]:
+    """Return the coefficients, lowest first, of the polynomial through all points, modulo p."""
+    table = list(values)
+    count = len(points)
+    for order in range(1, count):
+        for k in range(count - 1, order - 1, -1):
+            step = pow(points[k] - points[k - order], -1, MODULUS)
+            table[k] = (table[k] - table[k - 1]) * step % MODULUS
+    coefficients = [0] * count
+    for k in range(count - 1, -1, -1):
+        for power in range(count - 1, 0, -1):
+            coefficients[power] = (
+                coefficients[power - 1] - points[k] * coefficients[power]
+            ) % MODULUS
+        coefficients[0] = (table[k] - points[k] * coefficients[0]) % MODULUS
+    return coefficients
+
+
+Polynomial = Mapping[int, int]
+"""Coefficient of each power of one variable, without zeros."""
+
+_State = tuple[tuple[int, int], ...]
+
+
+def jones_polynomial(diagram: Diagram) -> dict[int, int]:
+    """Return the Jones polynomial V(t) as {power: coefficient}; right-handed trefoil: t + t³ − t⁴.
+
+    Kauffman 1987, "State models and the Jones polynomial", with t = A⁻⁴. Time grows with the
+    diagram's width (the crossings are added to a growing disc), not with 2^crossings.
+    """
+    count = diagram.crossings
+    if count == 0:
+        return {0: 1}
+    bits = 2 * count + 8
+    total = _bracket(diagram.pd(), bits)
+    result: dict[int, int] = {}
+    half = 1 << (bits - 1)
+    power = 0
+    while total:
+        digit = (total + half) % (1 << bits) - half
+        total = (total - digit) >> bits
+        if digit:
+            # The sum was scaled by a^2 per crossing, a = A², and by A for each crossing.
+            of_a = 2 * (power - 2 * count) - count - 3 * diagram.writhe
+            result[-of_a // 4] = -digit if diagram.writhe % 2 else digit
+        power += 1
+    return dict(sorted(result.items()))
+
+
+def chirality_sign(jones: Polynomial) -> int:
+    """Return 1 for right, −1 for left, 0 where both mirror images have this Jones polynomial.
+
+    A chiral knot is right-handed where the lowest and the highest power of its Jones polynomial
+    have a positive sum (right-handed trefoil: t + t³ − t⁴, sum 5), left-handed where it is
+    negative. Where the sum is 0, the first power at which V(t) and V(1/t) differ, counted outward
+    from 0, decides: the right-handed knot has the larger coefficient at the positive power. Where
+    V(t) = V(1/t), the diagram in the table is right-handed by definition.
+    """
+    span = min(jones) + max(jones)
+    if span:
+        return 1 if span > 0 else -1
+    for power in range(1, max(jones) + 1):
+        difference = jones.get(power, 0) - jones.get(-power, 0)
+        if difference:
+            return 1 if difference > 0 else -1
+    return 0
+
+
+def _bracket(pd: tuple[tuple[int, int, int, int], ...], bits: int) -> int:
+    """Return Kauffman's bracket of the diagram, cut open at one edge, as one packed integer.
+
+    Coefficients of a = A² are digits in base 2^bits; each crossing contributes a factor A·a² so
+    that no power is negative.
+    """
+    rows = [list(row) for row in pd]
+    cut = next(row for row in rows if 1 in row)
+    cut[cut.index(1)] = 0
+    states: dict[_State, int] = {(): 1}
+    frontier: set[int] = set()
+    while rows:
+        row = max(rows, key=lambda r: sum(edge in frontier for edge in r))
+        rows.remove(row)
+        i, j, k, l = row  # noqa: E741 - KnotTheory's names for the edges of X[i,j,k,l]
+        frontier ^= {edge for edge in row if row.count(edge) == 1}
+        following: dict[_State, int] = {}
+        for state, value in states.items():
+            for power, arcs in ((3, ((i, j), (k, l))), (2, ((i, l), (j, k)))):
+                joined, loops = _joined(state, arcs)
+                term = value << (power - loops) * bits
+                for _ in range(loops):
+                    term = -(term + (term << 2 * bits))
+                following[joined] = following.get(joined, 0) + term
+        states = following
+    return next(iter(states.values()))
+
+
+def _joined(state: _State, arcs: tuple[tuple[int, int], ...]) -> tuple[_State, int]:
+    """Return the matching of loose ends after arcs were added, and the number of closed loops."""
+    other: dict[int, int] = {}
+    for one, two in state:
+        other[one], other[two] = two, one
+    loops = 0
+    for one, two in arcs:
+        if one == two or other.get(one) == two:
+            loops += 1
+            other.pop(one, None)
+            other.pop(two, None)
+            continue
+        start, end = other.pop(one, one), other.pop(two, two)
+        other[start], other[end] = end, start
+    return tuple(sorted((one, two) for one, two in other.items() if one < two)), loops
+
+
+Matrices = NDArray[np.int64]
+Signature = tuple[tuple[tuple[int, int], int], ...]
+"""Sorted ((a, b), number of occurrences)."""
+
+REPRESENTATIONS = ((5, 2), (7, 2), (5, 0), (7, 0), (11, 2), (7, 3), (13, 2), (11, 0), (11, 3))
+"""(prime, trace of M), in order of use: fast and distinguishing ones first."""
+
+
+def matching_candidates(
+    diagram: Diagram, candidates: Sequence[tuple[Factor, ...]]
+) -> list[tuple[Factor, ...]]:
+    """Return the candidates (sums of table knots) that the representations do not exclude."""
+    left = list(candidates)
+    for modulus, trace in REPRESENTATIONS:
+        if len(left) < 2:
+            break
+        own = longitude_counts(diagram, modulus, trace)
+        left = [one for one in left if _of_sum(one, modulus, trace) == own]
+    return left
+
+
+@lru_cache(maxsize=4096)
+def _of_sum(factors: tuple[Factor, ...], modulus: int, trace: int) -> Signature:
+    return longitude_counts(sum_diagram(factors), modulus, trace)
+
+
+def sum_diagram(factors: Sequence[Factor]) -> Diagram:
+    """Return the connected sum of the table's diagrams of the factors."""
+    passes: list[tuple[int, bool, int]] = []
+    for name, hand in factors:
+        code = prime_knot(name).diagram.code
+        base = len(passes) // 2
+        passes += [(base + k, over, -sign if hand < 0 else sign) for k, over, sign in code.passes]
+    return Diagram(SignedGauss.of(passes, closed=True))
+
+
+def longitude_counts(diagram: Diagram, modulus: int, trace: int) -> Signature:
+    """Return how often each longitude occurs among the representations in SL(2, modulus).
+
+    All homomorphisms of the knot group to SL(2, p) are counted that map a fixed meridian m to a
+    fixed matrix M. The longitude ℓ of m commutes with m, so its image is a + bM. The number of
+    occurrences of each pair (a, b) is an invariant of the knot. It does not depend on orientation.
+    The mirror image has (a + b·tr M, −b) instead, so the invariant detects chirality.
+    """
+    crossings = crossing_arcs(diagram.code)
+    fixed = np.array([[0, -1], [1, trace]], dtype=np.int64) % modulus
+    if not crossings:
+        return (((1, 0), 1),)
+    seeds, steps = _generators(tuple(crossings))
+    images = _seeded(seeds, _conjugates(modulus, trace), fixed)
+    for arc, source, over, forward in steps:
+        images[arc] = _conjugated(images[source], images[over], forward, modulus)
+    fits = np.ones(len(images[0]), dtype=bool)
+    for over, into, out, sign in crossings:
+        expected = _conjugated(images[into], images[over], sign > 0, modulus)
+        fits &= np.all(images[out] == expected, axis=(1, 2))
+    kept = {arc: image[fits] for arc, image in images.items()}
+    longitude = np.broadcast_to(np.eye(2, dtype=np.int64), kept[0].shape)
+    for over, _, _, sign in crossings:
+        step = kept[over] if sign > 0 else _inverse(kept[over], modulus)
+        longitude = longitude @ step % modulus
+    unwind = fixed if diagram.writhe < 0 else _inverse(fixed[None], modulus)[0]
+    for _ in range(abs(diagram.writhe)):
+        longitude = longitude @ unwind % modulus
+    # a + bM = [[a, −b], [b, a + b·trace]]
+    found = Counter(zip(longitude[:, 0, 0].tolist(), longitude[:, 1, 0].tolist(), strict=True))
+    return tuple(sorted(found.items()))
+
+
+def _inverse(matrices: Matrices, modulus: int) -> Matrices:
+    result = np.empty_like(matrices)
+    result[:, 0, 0], result[:, 1, 1] = matrices[:, 1, 1], matrices[:, 0, 0]
+    result[:, 0, 1], result[:, 1, 0] = -matrices[:, 0, 1], -matrices[:, 1, 0]
+    return result % modulus
+
+
+def _conjugated(image: Matrices, over: Matrices, forward: bool, modulus: int) -> Matrices:
+    """Return the image of an arc after passing under another: o⁻¹ u o, or o u o⁻¹ backwards."""
+    inverse = _inverse(over, modulus)
+    left, right = (inverse, over) if forward else (over, inverse)
+    return (left @ image % modulus) @ right % modulus
+
+
+@lru_cache(maxsize=32)
+def _conjugates(modulus: int, trace: int) -> Matrices:
+    """Return all matrices (k, 2, 2) conjugate to [[0, −1], [1, trace]]."""
+    values = np.arange(modulus)
+    a, b, c, d = (part.ravel() for part in np.meshgrid(values, values, values, values))
+    special = (a * d - b * c) % modulus == 1
+    group = np.stack([a, b, c, d], axis=1)[special].reshape(-1, 2, 2)
+    fixed = np.array([[[0, -1], [1, trace]]], dtype=np.int64) % modulus
+    images = _conjugated(np.broadcast_to(fixed, group.shape), group, True, modulus)
+    return np.unique(images.reshape(-1, 4), axis=0).reshape(-1, 2, 2)
+
+
+def _seeded(seeds: Sequence[int], conjugates: Matrices, fixed: Matrices) -> dict[int, Matrices]:
+    """Return every choice of images of the seeds; the image of arc 0 is the fixed matrix."""
+    others = [arc for arc in seeds if arc]
+    count = len(conjugates)
+    total = count ** len(others)
+    chosen = np.indices((count,) * len(others)).reshape(len(others), total)
+    images = {0: np.broadcast_to(fixed, (total, 2, 2))}
+    for arc, choice in zip(others, chosen, strict=True):
+        images[arc] = conjugates[choice]
+    return images
+
+
+@lru_cache(maxsize=256)
+def _generators(
+    crossings: tuple[tuple[int, int, int, int], ...],
+) -> tuple[tuple[int, ...], tuple[tuple[int, int, int, bool], ...]]:
+    """Return few arcs, including arc 0, that determine all others, and the steps to the others."""
+    count = len(crossings)
+    others = range(1, count)
+    for size in range(count):
+        for extra in itertools.combinations(others, size):
+            steps = _steps(crossings, {0, *extra})
+            if len(steps) + size + 1 == count:
+                return (0, *extra), tuple(steps)
+    raise AssertionError("all arcs together determine all arcs")
+
+
+def _steps(
+    crossings: Sequence[tuple[int, int, int, int]], known: set[int]
+) -> list[tuple[int, int, int, bool]]:
+    """Return steps (arc, from arc, over arc, forward), each from arcs with known images."""
+    steps: list[tuple[int, int, int, bool]] = []
+    before = -1
+    while len(steps) != before:
+        before = len(steps)
+        for over, into, out, sign in crossings:
+            if over not in known:
+                continue
+            if into in known and out not in known:
+                steps.append((out, into, over, sign > 0))
+                known.add(out)
+            elif out in known and into not in known:
+                steps.append((into, out, over, sign < 0))
+                known.add(into)
+    return steps
+
 
 _TILTS = ((0.0137, 0.0071), (-0.0523, 0.0911), (0.313, -0.177), (-1.37, -0.853), (7.1, 3.3))
 """Leans of the directions of view from straight above; none is aligned with a grid."""
@@ -122,9 +452,9 @@ def identify_curve(points: Points, *, closed: bool = False) -> Identification:
     is not an (n, 3) array of finite numbers.
     """
     curve = validated_curve(points, closed=closed)
-    wrong = find_defect(points, closed=closed)
-    if wrong:
-        raise wrong.error()
+    defect = find_defect(points, closed=closed)
+    if defect:
+        raise defect
     return identify_diagram(curve_diagram(curve, closed=closed))
 
 

@@ -1,4 +1,4 @@
-"""The table of the 249 prime knots to ten crossings, from ``python -m swarm.knots.tabulate``."""
+"""The table of the 249 prime knots to ten crossings, from ``python -m swarm_knot_table``."""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -45,26 +45,6 @@ class TableKnot:
             for diagram in diagrams_of_dt(self.dt)
             if diagram.code.passes[0][2] == self.first_sign
         )
-
-    def line(self) -> str:
-        """Return the knot as a line of the table's file."""
-        return "\t".join(
-            (
-                self.name,
-                "chiral" if self.chiral else "amphichiral",
-                " ".join(map(str, self.dt)),
-                "+" if self.first_sign > 0 else "-",
-                _written(self.jones),
-                _written(self.alexander),
-                " ".join(f"{low}-{high}" for low, high in self.grid.columns),
-            )
-        )
-
-
-def _written(polynomial: Laurent) -> str:
-    coefficients = dict(polynomial)
-    low, high = min(coefficients), max(coefficients)
-    return f"{low}:" + ",".join(str(coefficients.get(k, 0)) for k in range(low, high + 1))
 
 
 def _read_polynomial(text: str) -> Laurent:

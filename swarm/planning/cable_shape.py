@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.errors import InputError, Problem
-from swarm.geometry.floor import rest_on_floor
+from swarm.geometry.catenary import rest_on_floor
 from swarm.planning.plan import Phase, Plan
 
 Floats = npt.NDArray[np.float64]

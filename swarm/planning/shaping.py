@@ -18,8 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.geometry.catenary import STANDARD_GRAVITY
-from swarm.geometry.lumped_mass import Strands, SwingModel
-from swarm.geometry.lumped_mass_kernel import TOGETHER
+from swarm.geometry.lumped_mass import TOGETHER, Strands, SwingModel
 from swarm.geometry.motion import Motion, through_states
 from swarm.threads import side_by_side
 

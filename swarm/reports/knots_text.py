@@ -1,7 +1,7 @@
 """Knots, identified curves and opened grid diagrams on the terminal."""
 
 from collections.abc import Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from rich.console import Console
 from rich.table import Table
@@ -11,7 +11,9 @@ from swarm.knots.catalog import KnotChoice
 from swarm.knots.grid import OpenGrid
 from swarm.knots.invariants import Identification
 from swarm.knots.names import COMMON_NAMES
-from swarm.knots.table_check import TableCheck
+
+if TYPE_CHECKING:
+    from swarm_knot_table import TableCheck
 
 _BENDS: Final = {
     (True, True): "└",
@@ -113,7 +115,7 @@ def print_knot(choice: KnotChoice, console: Console) -> None:
     console.print(grid_text(opened))
 
 
-def print_table_check(checks: Sequence[TableCheck], console: Console) -> None:
+def print_table_check(checks: Sequence["TableCheck"], console: Console) -> None:
     """Print the check of the whole table, a row per knot."""
     table = Table("knot", "N found", "arc index", "identified", "chirality", "", box=None)
     for check in checks:

@@ -10,18 +10,16 @@ from swarm.planning import Plan
 from swarm.reports.rope_plots import RopeCurves
 
 if TYPE_CHECKING:
-    from swarm.analysis.rope import RopeRun
-    from swarm.simulation.rope import RopeResult
+    from swarm_rope import RopeRun
 
 
-def rope_curves(result: "RopeResult") -> RopeCurves:
-    """Return the curves of a result: at each moment the largest deviation of a segment."""
-    run = result.run
+def rope_curves(run: "RopeRun") -> RopeCurves:
+    """Return the curves of a run: at each moment the largest deviation of a segment."""
     excess = np.where(run.deviation > run.allowed_swing, run.deviation, -np.inf).max(
         axis=1, initial=-np.inf
     )
     return RopeCurves(
-        label=result.trajectory.name,
+        label=run.trajectory,
         verdict=_verdict(run),
         times=run.times,
         deviation=run.deviation.max(axis=1, initial=0.0),

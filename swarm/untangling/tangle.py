@@ -7,7 +7,7 @@ their signs, and of the parts by which segments do not yet lead ahead along a li
 import numpy as np
 import numpy.typing as npt
 
-from swarm.geometry.gauss_integral import gauss_integral
+from swarm.geometry.distance import gauss_integral
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1
 from swarm.untangling.moved_vehicle import TeamState

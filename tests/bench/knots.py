@@ -13,8 +13,7 @@ import numpy as np
 from swarm.knots.catalog import lookup_knot
 from swarm.knots.diagram import diagrams_of_gauss
 from swarm.knots.grid import openings
-from swarm.knots.grid_drawing import grid_of_diagram
-from swarm.knots.grid_search import minimise_grid
+from swarm.knots.grid_search import grid_of_diagram, minimise_grid
 from swarm.knots.invariants import identify_curve
 from swarm.knots.table import TableKnot, knot_table
 

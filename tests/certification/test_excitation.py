@@ -15,7 +15,8 @@ from swarm.certification.excitation import (
     variances_along,
 )
 from swarm.geometry.catenary import Catenaries, length_for_sag, solve_catenaries
-from swarm.geometry.lumped_mass import cable_model, swing
+from swarm.geometry.lumped_mass import cable_model
+from tests.geometry.swinging import swing
 
 LATERAL, UP = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 SPAN = 2.5

@@ -9,12 +9,13 @@ import pytest
 from swarm.certification.clearances import PlanChecks
 from swarm.certification.swing_runs import STEP, aloft, model_of, strands_of, swings
 from swarm.flight.swinging import SwingEstimator
-from swarm.geometry.lumped_mass import cable_model, stray, swing
+from swarm.geometry.lumped_mass import cable_model
 from swarm.mission import mission_for_knot, parse_mission
 from swarm.planner.pacing import slowed_for_swing, timed_for_losses
 from swarm.planning import Plan
 from swarm.planning.candidates import make_plan
 from swarm.planning.shaping import COMPARED, steps_between_compared
+from tests.geometry.swinging import stray, swing
 from tests.shared import shared
 
 FIVE = Path(__file__).parents[2] / "missions" / "overhand_five.yaml"

@@ -33,9 +33,10 @@ from swarm.flight.flight_plan import basis_of
 from swarm.flight.guidance import MissionClock
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import polyline_polyline
-from swarm.geometry.lumped_mass import cable_model, stray, swing
+from swarm.geometry.lumped_mass import cable_model
 from swarm.planning import Plan, digest
 from swarm.planning.clock_limits import clock_limits
+from tests.geometry.swinging import stray, swing
 from tests.overhand import planned_overhand
 from tests.shared import shared
 

@@ -7,8 +7,7 @@ from swarm.certification import strand_pieces as pieces
 from swarm.certification.air import wind_tilt
 from swarm.certification.cable_spans import all_pairs, exempt_length
 from swarm.certification.clearances import failure_in_wind, families, largest_wind, tightest_moments
-from swarm.geometry.catenary import solve_catenaries
-from swarm.geometry.catenary_kernel import Catenary
+from swarm.geometry.catenary import Catenary, solve_catenaries
 from tests.certification.oracle import catenary, closest, displaced
 from tests.certification.synthetic import moving, plan_of
 

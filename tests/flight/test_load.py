@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarm.flight.load import PlannedPull, cable_pull, end_forces
-from swarm.geometry.floor import rest_on_floor
+from swarm.geometry.catenary import rest_on_floor
 from tests.network import small_plan
 
 GRAVITY = 9.80665

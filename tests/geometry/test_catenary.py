@@ -17,8 +17,8 @@ from swarm.geometry.catenary import (
     sag_for_drop,
     sag_for_length,
     solve_catenaries,
+    solve_half_angle,
 )
-from swarm.geometry.catenary_shape import solve_half_angle
 
 # Span, rise, length: level and inclined, from slack 1e-6 to length/span 1e3.
 SHAPES = [

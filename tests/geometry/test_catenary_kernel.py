@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm.geometry import catenary_kernel
+from swarm.geometry import catenary
 from swarm.geometry.catenary import solve_catenaries
 
 
@@ -22,7 +22,7 @@ def drawn(seed, slack):
 def test_points_are_those_of_the_catenary(seed, slack):
     start, end, length = drawn(seed, slack)
     points = np.empty((21, 3))
-    catenary_kernel.sample_strand(start, end, length, points)
+    catenary.sample_strand(start, end, length, points)
     strand = solve_catenaries(start[None], end[None], np.array([length]))
     assert points == pytest.approx(strand.points(np.linspace(0.0, 1.0, 21))[0], abs=1e-6)
 
@@ -36,8 +36,7 @@ def test_no_strand_is_lower_than_the_bound(across, slack):
     length = float(np.linalg.norm(end)) * (1.0 + 1e-9) + slack + 0.01
     lowest = solve_catenaries(start, end, length).points(np.linspace(0.0, 1.0, 21))[:, 2].min()
     assert (
-        lowest
-        >= min(0.0, across[2]) - catenary_kernel.max_drop_below_ends(start, end, length, 0.0) - 1e-9
+        lowest >= min(0.0, across[2]) - catenary.max_drop_below_ends(start, end, length, 0.0) - 1e-9
     )
 
 
@@ -54,8 +53,8 @@ def test_no_chord_leaves_the_range_of_elevations(rise, span, reach, ahead, uprig
     moved = np.array([span + level * math.cos(ahead), level * math.sin(ahead)])
     after = rise + reach * upright
     steep = abs(after) / max(math.hypot(*moved, after), 1e-12)
-    assert steep <= catenary_kernel.max_elevation_sine(rise, span, reach) + 1e-9
-    assert steep >= catenary_kernel.min_elevation_sine(rise, span, reach) - 1e-9
+    assert steep <= catenary.max_elevation_sine(rise, span, reach) + 1e-9
+    assert steep >= catenary.min_elevation_sine(rise, span, reach) - 1e-9
 
 
 @settings(max_examples=100, deadline=None)
@@ -63,7 +62,7 @@ def test_no_chord_leaves_the_range_of_elevations(rise, span, reach, ahead, uprig
 def test_the_largest_elevation_is_reached(elevation, chord, turned):
     """An end moves at right angles to its final chord: by the chord times the sine of the turn."""
     rise, span = chord * math.sin(elevation), chord * math.cos(elevation)
-    steep = catenary_kernel.max_elevation_sine(rise, span, chord * math.sin(turned))
+    steep = catenary.max_elevation_sine(rise, span, chord * math.sin(turned))
     assert steep == pytest.approx(math.sin(elevation + turned), abs=1e-9)
 
 
@@ -72,7 +71,7 @@ def test_the_largest_elevation_is_reached(elevation, chord, turned):
 def test_a_polygon_is_close_to_its_strand_in_narrow_loops_too(seed, slack):
     start, end, length = drawn(seed, slack)
     outline = np.empty((7, 3))
-    catenary_kernel.strand_polygon(start, end, length, outline)
+    catenary.strand_polygon(start, end, length, outline)
     strand = solve_catenaries(start, end, length)
     level = outline[:, :2] - start[:2]
     np.testing.assert_allclose(level, np.linspace(0, 1, 7)[:, None] * level[-1], atol=1e-9)

@@ -10,13 +10,11 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq, minimize
 
 from swarm.errors import Refused
-from swarm.geometry.catenary import length_for_sag, solve_catenaries
+from swarm.geometry.catenary import length_for_sag, sag_for_drop, solve_catenaries
 from swarm.geometry.chain import (
-    alpha,
     crossing_fractions,
     crossing_gaps,
     minimum_sags,
-    minimum_under_sag,
     plan_crossings,
     polyline,
     segment_lengths,
@@ -136,20 +134,31 @@ def test_the_overhands_table_is_of_an_unknot() -> None:
     np.testing.assert_allclose(segment_lengths(corners, sags), table, atol=0.005)
 
 
+def minimum_under_sag(size: int, cell: float, sag_over: float) -> float:
+    """The least h_max that separates every crossing of any N×N grid.
+
+    Proposition 1 of the paper, corrected:
+    h_max > h_min + ā·cosh((L − 3d)/2ā) − ā, with L = N·d and ā of a catenary with sag h_max and
+    span L − d. Both sides hold h_max: the root is where the widest under strand has dropped h_min
+    within one cell from its end. (The print adds ā, and its proof has L − d for L − 3d.)
+    """
+    return float(sag_for_drop((size - 1.0) * cell, sag_over, 1.0 / (size - 1.0)))
+
+
 @pytest.mark.parametrize(
     ("size", "over", "under"),
     [(5, 1.34, 1.7178), (6, 1.55, 2.2783), (6, 1.5, 2.2101), (10, 1.5, 3.4962), (10, 2.89, 6.2011)],
 )
 def test_corrected_proposition_1(size: int, over: float, under: float) -> None:
-    found = float(minimum_under_sag(size, 1.0, over))
+    found = minimum_under_sag(size, 1.0, over)
     assert found == pytest.approx(under, abs=5e-5)
-    assert float(minimum_under_sag(size, 2.0, 2.0 * over)) == pytest.approx(2.0 * found)
+    assert minimum_under_sag(size, 2.0, 2.0 * over) == pytest.approx(2.0 * found)
 
 
 @given(st.integers(3, 12), st.floats(0.2, 3.0), st.floats(0.1, 5.0))
 def test_proposition_1_is_an_equality_at_its_root(size: int, cell: float, over: float) -> None:
     """Both strands as catenaries: at the worst crossing of the grid they just touch."""
-    under = float(minimum_under_sag(size, cell, over))
+    under = minimum_under_sag(size, cell, over)
     span = (size - 1) * cell
     corners = np.array(
         [[0, -cell, 0], [0, cell, 0], [5 * span, 5 * span, 0], [-cell, 0, 0], [span - cell, 0, 0]]
@@ -212,19 +221,15 @@ def test_the_chain_is_sampled_through_its_corners() -> None:
     np.testing.assert_allclose(moving[1], chain + 1.0, atol=1e-12)
 
 
-def test_alpha_runs_through_every_corner_and_sag() -> None:
+def test_the_chain_of_the_paper_runs_through_every_sag() -> None:
+    """Paper eq. 3 (one catenary, placed) and eq. 4 (the chain)."""
     placed, sags, _ = paper_layout("figure_eight")
-    spans = np.abs(np.diff(placed, axis=0)).sum(axis=1)
-    begins = np.concatenate([[0.0], np.cumsum(spans)])
-    np.testing.assert_allclose(alpha(placed, sags, begins), placed, atol=1e-12)
-    middles = alpha(placed, sags, begins[:-1] + spans / 2.0)
-    np.testing.assert_allclose(middles[:, 2], 10.0 - sags, atol=1e-12)
+    strands = solve_catenaries(placed[:-1], placed[1:], segment_lengths(placed, sags))
+    np.testing.assert_allclose(strands.at_span(0.5)[:, 2], 10.0 - sags, atol=1e-12)
     # Paper eq. 1 for the first catenary, with a from eq. 2.
     a = brentq(lambda a: 1.5 / a - np.cosh(2.0 / a) + 1.0, 0.5, 10.0, xtol=1e-14)
-    quarter = alpha(placed, sags, [1.0])[0, 2]
+    quarter = strands.at_span(0.25)[0, 2]
     assert quarter == pytest.approx(10.0 - 1.5 + a * (np.cosh(1.0 / a) - 1.0), abs=1e-9)
-    with pytest.raises(ValueError, match="between 0 and 31, the sum of the spans"):
-        alpha(placed, sags, [33.5])
 
 
 @pytest.mark.parametrize("knot", PAPER)

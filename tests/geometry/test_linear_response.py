@@ -3,15 +3,17 @@
 import numpy as np
 import pytest
 
-from swarm.geometry.catenary import solve_catenaries
-from swarm.geometry.catenary_kernel import Catenary
-from swarm.geometry.linear_response import (
+from swarm.geometry.catenary import Catenary, solve_catenaries
+from swarm.geometry.sensitivity import (
+    BOTH_ENDS,
+    FAR_END,
+    LARGEST_RATIO,
+    NEAR_END,
     beyond_interpolation,
     first_order,
     linear_response,
     point_response,
 )
-from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, LARGEST_RATIO, NEAR_END
 
 
 @pytest.mark.parametrize(("shallowest", "steepest"), [(0.0, 1.4), (1.0, 1.53)])

@@ -14,8 +14,8 @@ from swarm.geometry.catenary import (
     length_for_sag,
     solve_catenaries,
 )
-from swarm.geometry.hanging_links import hang_links
-from swarm.geometry.lumped_mass import Strands, SwingModel, cable_model, stray, swing
+from swarm.geometry.lumped_mass import Strands, SwingModel, cable_model, hang_links
+from tests.geometry.swinging import stray, swing
 
 STILL = SwingModel(links=24, step=0.004, normal_drag=0.0)
 """Without air: an oscillation is not damped."""

@@ -5,11 +5,17 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from swarm.geometry import linear_response, sensitivity, shape_tables
+from swarm.geometry import sensitivity
 from swarm.geometry.catenary import solve_catenaries
-from swarm.geometry.linear_response import curvature_table
-from swarm.geometry.sensitivity import BOTH_ENDS, FAR_END, NEAR_END, sensitivity_tables
-from swarm.geometry.shape_tables import Nodes, kept
+from swarm.geometry.sensitivity import (
+    BOTH_ENDS,
+    FAR_END,
+    NEAR_END,
+    Nodes,
+    curvature_table,
+    kept,
+    sensitivity_tables,
+)
 
 NARROW = (0.053, 18.0), (0.051, 4.0), (0.06, 0.0), (0.2, 71.0), (0.9, 86.5), (0.97, 60.0)
 """Chord over length and elevation, degrees: narrow bends, and strands near taut."""
@@ -90,7 +96,7 @@ def test_no_exact_derivative_exceeds_the_tables(ratio_and_elevation, degrees):
         for largest, norm in zip(bound, norms, strict=True):
             assert (norm <= largest).all()
     count = len(fractions)
-    found = linear_response.linear_response(
+    found = sensitivity.linear_response(
         solve_catenaries(np.zeros(3), np.tile(end, (count, 1)), np.ones(count)),
         fractions, np.full(count, FAR_END), np.tile([0.0, 0.0, 1.0], (count, 1)),
         (fractions, fractions), np.zeros(count),
@@ -113,7 +119,7 @@ def figures(ratio, elevation, fractions):
     sensitivity._write_norms(nodes, norms)
     directions = np.ascontiguousarray(DIRECTIONS[:, [0, 2, 1]])
     memory = np.empty((len(directions), 6))
-    linear_response._write_second(nodes, directions, memory, second)
+    sensitivity._write_second(nodes, directions, memory, second)
     both = norms.sum(axis=1)[:, 0, 0, 1:-1]
     return *both, second[0, 0, 1:-1]
 
@@ -134,9 +140,9 @@ def shares(point):
     )
     over = [float(norm[0] / bound) for norm, bound in zip(found, bounds, strict=False)]
     if end[0] > 0.0501 and elevation < np.radians(88.0):
-        table = linear_response.curvature_table()
-        band = sensitivity.find_class(np.sin(elevation), linear_response._SINES)
-        column = int(np.log1p(-ratio) * linear_response._COLUMNS)
+        table = sensitivity.curvature_table()
+        band = sensitivity.find_class(np.sin(elevation), sensitivity._BAND_SINES)
+        column = int(np.log1p(-ratio) * sensitivity._COLUMNS)
         over.append(float(found[2][0] / table[band, column, int(16 * fraction)]))
     return over
 
@@ -172,7 +178,7 @@ def test_a_table_is_computed_once_and_again_where_it_is_damaged(tmp_path, monkey
         return np.arange(6.0).reshape(2, 3)
 
     def read() -> int:
-        assert np.array_equal(kept(shape_tables.__file__, "some", table), table())
+        assert np.array_equal(kept("some", table), table())
         return len(computed)
 
     assert read() == 2
@@ -188,4 +194,4 @@ def test_a_table_is_computed_once_and_again_where_it_is_damaged(tmp_path, monkey
 
 def test_the_kept_tables_are_those_that_their_sources_compute():
     assert np.array_equal(sensitivity_tables().bounds, sensitivity._bounds())
-    assert np.array_equal(curvature_table(), linear_response._curvatures())
+    assert np.array_equal(curvature_table(), sensitivity._curvatures())

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarm.geometry.catenary import solve_catenaries
-from swarm.geometry.strays import Held, strays_of, subtract_catenaries
+from swarm.geometry.lumped_mass import Held, strays_of, subtract_catenaries
 
 
 def team(seed: int, moments: int, links: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -12,7 +12,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from swarm.geometry.catenary import STANDARD_GRAVITY, solve_catenaries
-from swarm.geometry.lumped_mass import SwingModel, stray, swing
+from swarm.geometry.lumped_mass import SwingModel
+from tests.geometry.swinging import stray, swing
 
 mujoco = pytest.importorskip("mujoco")
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from swarm.knots.diagram import Diagram, curve_gauss
+from swarm.knots.curve import curve_gauss
+from swarm.knots.diagram import Diagram
 from swarm.knots.gauss import SignedGauss
 from swarm.knots.grid import OpenGrid
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarm.knots.catalog import lookup_knot
-from swarm.knots.curve_defects import find_defect
+from swarm.knots.curve import find_defect
 from swarm.knots.gauss import KnotError
 from swarm.knots.invariants import identify_curve
 from tests.knots.curves import hung

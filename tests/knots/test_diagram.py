@@ -15,8 +15,7 @@ from swarm.knots.diagram import (
     realisations,
 )
 from swarm.knots.gauss import KnotError, SignedGauss, same_code
-from swarm.knots.invariants import identify_diagram, summands
-from swarm.knots.jones import jones_polynomial
+from swarm.knots.invariants import identify_diagram, jones_polynomial, summands
 from tests.knots.curves import of_knotinfo, random_diagram
 
 PAPER = {

@@ -7,25 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm.knots.alexander import alexander_polynomial
-from swarm.knots.diagram import Diagram, opening_gauss
+from swarm.knots.diagram import Diagram
 from swarm.knots.gauss import KnotError
 from swarm.knots.grid import (
     Grid,
-    commuted,
-    destabilised,
     grid_of_columns,
     mirrored,
     openings,
-    stabilised,
     translated,
     transposed,
-    turned,
 )
-from swarm.knots.grid_drawing import grid_of_diagram
-from swarm.knots.grid_search import minimise_grid, random_grids
-from swarm.knots.invariants import identify_diagram
-from swarm.knots.jones import jones_polynomial
+from swarm.knots.grid_search import GridWalk, grid_of_diagram, minimise_grid, random_grids
+from swarm.knots.invariants import alexander_polynomial, identify_diagram, jones_polynomial
 from swarm.knots.table import knot_table
 from tests.knots.curves import of_knotinfo, random_diagram
 
@@ -85,51 +78,40 @@ def test_the_grids_behind_the_papers_tables(name: str, corners: list[tuple[int, 
 
 
 @settings(max_examples=60, deadline=None)
-@given(seed=st.integers(0, 10**6), moves=st.lists(st.integers(0, 10**6), max_size=12))
+@given(seed=st.integers(0, 10**6), moves=st.lists(st.integers(0, 5), max_size=12))
 def test_no_move_changes_the_knot(seed: int, moves: list[int]) -> None:
-    grid = grid_of_diagram(random_diagram(seed, 9))
-    before = polynomials(grid)
-    for number in moves:
-        rng = np.random.default_rng(number)
-        column = int(rng.integers(1, grid.size + 1))
-        flags = [bool(flag) for flag in rng.integers(0, 2, 3)]
-        kind = number % 6
-        try:
-            if kind == 0:
-                grid = commuted(grid, column)
-            elif kind == 1:
-                grid = transposed(grid)
-            elif kind == 2:
-                grid = translated(grid, int(rng.integers(-9, 9)), int(rng.integers(-9, 9)))
-            elif kind == 3:
-                high, right, above = flags
-                grid = stabilised(grid, column, high=high, right=right, above=above)
-            elif kind == 4:
-                grid = destabilised(grid, column)
-            else:
-                grid = turned(grid)
-        except KnotError:
-            assert kind in {0, 4}
-    assert polynomials(grid) == before
+    walk = GridWalk(grid_of_diagram(random_diagram(seed, 9)), seed)
+    before = polynomials(walk.grid())
+    rng = np.random.default_rng(seed)
+    for kind in moves:
+        size = walk.size
+        if kind == 0:
+            assert walk.shrink() == (walk.size < size)
+        elif kind == 1:
+            walk.stabilise()
+            assert walk.size == size + 1
+        elif kind == 2:
+            walk = GridWalk(transposed(walk.grid()), seed)
+        elif kind == 3:
+            right, up = rng.integers(-9, 9, 2).tolist()
+            walk = GridWalk(translated(walk.grid(), right, up), seed)
+        else:
+            for _ in range(10):
+                walk.commute()
+            assert walk.size == size
+    assert polynomials(walk.grid()) == before
 
 
-@settings(deadline=None)
-@given(column=st.integers(1, 5), flags=st.tuples(st.booleans(), st.booleans(), st.booleans()))
-def test_destabilisation_undoes_stabilisation(column: int, flags: tuple[bool, bool, bool]) -> None:
-    high, right, above = flags
-    larger = stabilised(OVERHAND, column, high=high, right=right, above=above)
-    assert larger.size == 6
-    assert destabilised(larger, column + right) == OVERHAND
-
-
-def test_moves_that_would_change_the_knot_are_refused() -> None:
-    with pytest.raises(KnotError, match="columns 1 and 2 cannot be exchanged"):
-        commuted(OVERHAND, 1)
-    with pytest.raises(KnotError, match=r"column 1 is not of length 1: \(2, 4\)"):
-        destabilised(OVERHAND, 1)
-    for move in (commuted, destabilised):
-        with pytest.raises(KnotError, match="there is no column 6 in a grid of size 5"):
-            move(OVERHAND, 6)
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_destabilisation_undoes_stabilisation(seed: int) -> None:
+    walk = GridWalk(OVERHAND, seed)
+    assert not walk.shrink()
+    walk.stabilise()
+    assert walk.size == 6
+    assert walk.shrink()
+    assert walk.size == 5
+    assert polynomials(walk.grid()) == polynomials(OVERHAND)
 
 
 @settings(max_examples=25, deadline=None)
@@ -173,7 +155,7 @@ def test_openings(name: str) -> None:
     target = dict(knot_table()[name].jones)
     for opened in found[:: max(1, len(found) // 20)]:
         # Nothing crosses the two edges taken out, so the ends close without new crossings.
-        assert jones_polynomial(Diagram(opening_gauss(opened).as_closed())) == target
+        assert jones_polynomial(Diagram(opened.code.as_closed())) == target
 
 
 def test_every_corner_can_be_opened() -> None:

@@ -5,18 +5,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm.knots.alexander import alexander_polynomial
 from swarm.knots.catalog import lookup_knot
 from swarm.knots.curve import curve_gauss
-from swarm.knots.diagram import Diagram, diagram_of_pd, realisations
+from swarm.knots.diagram import Diagram, diagram_of_pd, realisations, simplified, without_nugatory
 from swarm.knots.gauss import KnotError
 from swarm.knots.grid import grid_of_columns, mirrored, openings, translated
 from swarm.knots.grid_search import GridWalk
-from swarm.knots.group_representations import longitude_counts, matching_candidates, sum_diagram
-from swarm.knots.invariants import curve_diagram, identify_curve, identify_diagram, summands
-from swarm.knots.jones import jones_polynomial
+from swarm.knots.invariants import (
+    alexander_polynomial,
+    curve_diagram,
+    identify_curve,
+    identify_diagram,
+    jones_polynomial,
+    longitude_counts,
+    matching_candidates,
+    sum_diagram,
+    summands,
+)
 from swarm.knots.names import torus_grid
-from swarm.knots.simplify import simplified, without_nugatory
 from swarm.knots.table import TableKnot, knot_table
 from tests.knots.curves import (
     Points,

@@ -9,7 +9,7 @@ from sitl.cable.rope import Rope
 from sitl.physics.geodesy import GRAVITY
 from sitl.world import CableSpec
 from swarm.geometry import catenary
-from swarm.geometry.floor import rest_on_floor
+from swarm.geometry.catenary import rest_on_floor
 
 STILL = np.zeros((9, 3))
 

@@ -16,9 +16,10 @@ from sitl.physics.geodesy import GRAVITY
 from sitl.world import CableSpec
 from swarm.flight.conductor import Conductor
 from swarm.geometry.catenary import length_for_sag
-from swarm.geometry.lumped_mass import SwingModel, swing
+from swarm.geometry.lumped_mass import SwingModel
 from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.loop import Callbacks, simulate_flight
+from tests.geometry.swinging import swing
 from tests.network import small_plan
 
 STILL_AIR = np.zeros(3)

@@ -7,7 +7,7 @@ from swarm.folding.layout import lay_out_corners
 from swarm.folding.penalty import KEPT, TeamGeometry, missed_margins
 from swarm.folding.waypoints import schedule_of_waypoints
 from swarm.geometry.catenary import solve_catenaries
-from swarm.geometry.gauss_integral import gauss_integral
+from swarm.geometry.distance import gauss_integral
 from swarm.mission import mission_for_knot
 from swarm.planning.foldings import planning_margins
 from swarm.untangling.free_space import free_space

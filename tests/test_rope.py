@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from swarm import planner
-from swarm.analysis.rope import largest_swings
 from swarm.errors import Refused
 from swarm.geometry.catenary import STANDARD_GRAVITY, solve_catenaries
 from swarm.mission import mission_for_knot
 from swarm.planning import KnotLayout, KnotSummary, Plan
 from tests.network import small_plan
 
-rope = pytest.importorskip("swarm.analysis.rope")
+rope = pytest.importorskip("swarm_rope.simulation")
 
 PLAN = small_plan(vehicles=3).plan
 
@@ -51,10 +50,12 @@ def test_sway_turns_a_strand_about_its_chord():
     length, sideways = np.array([3.0]), np.tile([0.0, 2.0, 0.0], (2, 1))
     sag = float(solve_catenaries(*ends, length[0]).sag())
     turned = 2.0 * sag * np.sin(0.5 * np.arctan2(2.0, STANDARD_GRAVITY))
-    assert largest_swings(ends, sideways, length, 0.0) == pytest.approx(turned, rel=1e-3)
-    at_rest = largest_swings(ends, 0.0 * sideways, length, 2.0)
+    assert rope.largest_swings(ends, sideways, length, 0.0) == pytest.approx(turned, rel=1e-3)
+    at_rest = rope.largest_swings(ends, 0.0 * sideways, length, 2.0)
     assert at_rest >= turned * (1.0 - 1e-3)
-    assert largest_swings(ends, sideways, length, 2.0) == pytest.approx(turned + at_rest, rel=1e-3)
+    assert rope.largest_swings(ends, sideways, length, 2.0) == pytest.approx(
+        turned + at_rest, rel=1e-3
+    )
 
 
 def test_residual_swing_is_reported_beyond_the_models_of_the_budget():
@@ -66,7 +67,7 @@ def test_residual_swing_is_reported_beyond_the_models_of_the_budget():
     aside = 0.5 / rate**2 * np.sin(rate * times)
     grips = rope.Grips(times, line + aside[:, None, None] * [0.0, 1.0, 0.0])
     run = rope.simulate_rope(replace(PLAN, layout=layout), grips, links=50)
-    found = rope.deviation_object(run)
+    found = run.document()["deviation"]
     assert found["segment"] == 1
     assert found["largest"] == run.deviation.max() > 2.0 * found["allowed_swing"] > 0.0
     assert 0.0 < found["beyond_models"]["share"] < 0.5
@@ -147,7 +148,7 @@ def test_the_planned_motion_is_that_of_fold_and_hold():
 
 def test_a_run_can_be_printed_as_json():
     run = rope.simulate_rope(PLAN, still(PLAN.layout.corners, 0.2), links=30)
-    found = rope.run_object(run, PLAN)
+    found = run.document()
     json.dumps(found, allow_nan=False)
     assert found["knot"]["type"] == "0_1"
     assert found["smallest_distance"] is None

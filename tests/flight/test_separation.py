@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from swarm.analysis.separation import MOST_SPREAD, UP, separation_motion, separations
+from swarm.flight.separation import MOST_SPREAD, UP, separation_motion, separations
 from tests.network import small_plan
 
 PLAN = small_plan(vehicles=4).plan

@@ -1,4 +1,4 @@
-"""Write ``table.txt``: ``python -m swarm.knots.tabulate``.
+"""The table of knots, made from Conway's notation: ``python -m swarm_knot_table`` writes it.
 
 The names and Conway notations in ``conway.txt`` are those of Rolfsen's table (Conway 1970, Rolfsen
 1976) without the second knot of the Perko pair, numbered as in KnotInfo. The diagrams, chiralities,
@@ -17,16 +17,13 @@ from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
-from swarm.knots.alexander import alexander_polynomial
-from swarm.knots.chirality import AMPHICHIRAL, is_right_handed
-from swarm.knots.connected_sums import table_order
-from swarm.knots.diagram import Diagram, diagram_of_pd, diagrams_of_dt
+from swarm import knots
+from swarm.knots.diagram import Diagram, diagram_of_pd, diagrams_of_dt, simplified
 from swarm.knots.gauss import KnotError
-from swarm.knots.grid_drawing import grid_of_diagram
-from swarm.knots.grid_reduction import smallest_grid
-from swarm.knots.jones import jones_polynomial
-from swarm.knots.simplify import simplified
-from swarm.knots.table import TableKnot
+from swarm.knots.grid_search import grid_of_diagram, smallest_grid
+from swarm.knots.invariants import alexander_polynomial, chirality_sign, jones_polynomial
+from swarm.knots.names import table_order
+from swarm.knots.table import Laurent, TableKnot
 
 Ends = tuple[int, int, int, int]
 """Edges at the corners: north-west, north-east, south-east, south-west."""
@@ -276,6 +273,33 @@ def _polyhedral(text: str, edges: _Edges) -> Diagram:
     return _closed([tangles[k] for k in sorted(tangles)], joints)
 
 
+AMPHICHIRAL = frozenset(
+    [
+        "4_1",
+        "6_3",
+        "8_3",
+        "8_9",
+        "8_12",
+        "8_17",
+        "8_18",
+        "10_17",
+        "10_33",
+        "10_37",
+        "10_43",
+        "10_45",
+        "10_79",
+        "10_81",
+        "10_88",
+        "10_99",
+        "10_109",
+        "10_115",
+        "10_118",
+        "10_123",
+    ]
+)
+"""The prime knots to ten crossings that equal their mirror images."""
+
+
 MOVES = 400_000
 """Attempted moves for a knot with an unknown arc index."""
 
@@ -315,21 +339,38 @@ def _right(pair: tuple[Diagram, ...], chiral: bool) -> Diagram:
     """Return the right-handed diagram of a mirror pair; the first where both are possible."""
     if chiral:
         for diagram in pair:
-            if is_right_handed(jones_polynomial(diagram)):
+            if chirality_sign(jones_polynomial(diagram)) > 0:
                 return diagram
     return pair[0]
 
 
+def table_line(knot: TableKnot) -> str:
+    """Return the knot as a line of the table's file."""
+    return "\t".join(
+        (
+            knot.name,
+            "chiral" if knot.chiral else "amphichiral",
+            " ".join(map(str, knot.dt)),
+            "+" if knot.first_sign > 0 else "-",
+            _written(knot.jones),
+            _written(knot.alexander),
+            " ".join(f"{low}-{high}" for low, high in knot.grid.columns),
+        )
+    )
+
+
+def _written(polynomial: Laurent) -> str:
+    coefficients = dict(polynomial)
+    low, high = min(coefficients), max(coefficients)
+    return f"{low}:" + ",".join(str(coefficients.get(k, 0)) for k in range(low, high + 1))
+
+
 def main() -> None:
-    """Write the table next to this file."""
-    text = resources.files("swarm.knots").joinpath("conway.txt").read_text(encoding="utf-8")
+    """Write the table to the package that reads it."""
+    text = resources.files("swarm_knot_table").joinpath("conway.txt").read_text(encoding="utf-8")
     lines = []
     for entry in text.splitlines():
         name, notation = entry.split()
-        lines.append(tabulate_knot(name, notation).line())
-    target = Path(__file__).with_name("table.txt")
+        lines.append(table_line(tabulate_knot(name, notation)))
+    target = Path(knots.__file__).with_name("table.txt")
     target.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

@@ -16,6 +16,7 @@ acceleration of its ends, and swings after one stop from rest.
 """
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
@@ -23,17 +24,20 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from swarm.analysis.rope_model import STEP, TIGHTENING_STEP, Conditions, Extremes, Grips, Rope
 from swarm.certification.budget import DIRECTIONS, NEARLY_STRAIGHT, effective_gravity
 from swarm.certification.topology import ties_planned_knot
-from swarm.errors import Refused, SwarmError
+from swarm.errors import InputError, Problem, Refused, SwarmError
+from swarm.flight.trace import Trace
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import strand_strand
 from swarm.knots.curve import curve_gauss
 from swarm.knots.invariants import identify_curve
 from swarm.planning import Plan
+from swarm_rope.model import STEP, TIGHTENING_STEP, Conditions, Extremes, Grips, Rope
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
+Progress = Callable[[str, float], None]
 
 _FRACTIONS: Final = np.linspace(0.0, 1.0, 33)
 """Points of a strand whose movement is compared: 10 cm apart on a strand of 3 m."""
@@ -63,9 +67,6 @@ def largest_swings(
     return sway + stop
 
 
-Ints = npt.NDArray[np.intp]
-Progress = Callable[[str, float], None]
-
 LINK: Final = 0.17
 """Length of a link in metres unless a number of links is given; shorter links stretch more (1.9 %
 at 2200 links of a figure-eight)."""
@@ -89,6 +90,7 @@ _STEPS_AROUND: Final = 5
 class RopeRun:
     """Result of a simulated rope. Lengths in metres, times in seconds, k samples.
 
+    ``trajectory`` names the motion of its grip points; ``computing_time`` is that of the computer.
     ``knot``, ``chirality`` and ``gauss`` are of the rope at the end, its ends closed upwards;
     ``as_planned`` compares them with the plan by
     :func:`swarm.certification.topology.ties_planned_knot`, after tightening by the knot's name.
@@ -102,6 +104,9 @@ class RopeRun:
     (nodes, 3) is the rope at the end.
     """
 
+    plan: Plan
+    trajectory: str
+    computing_time: float
     links: int
     simulated: float
     contact: bool
@@ -123,6 +128,62 @@ class RopeRun:
     static_distance: Floats
     shape: Floats
 
+    def document(self) -> dict[str, Any]:
+        """Return the run as one JSON-ready object."""
+        radius = 0.5 * self.plan.mission.cable.diameter
+        return {
+            "trajectory": self.trajectory,
+            "computing_time": self.computing_time,
+            "links": self.links,
+            "simulated": self.simulated,
+            "contact": self.contact,
+            "tightened": self.tightened,
+            "knot": {
+                "type": self.knot,
+                "chirality": self.chirality,
+                "gauss": self.gauss,
+                "as_planned": self.as_planned,
+            },
+            "invalid": list(self.invalid),
+            "contacts": self.contacts,
+            "penetration": {
+                "metres": self.penetration,
+                "radii": self.penetration / radius,
+                "limit": MOST_PENETRATION,
+            },
+            "stretch": {"share": self.stretch, "limit": MOST_STRETCH},
+            "speed": {"metres_per_second": self.speed, "limit": MOST_SPEED},
+            "end_distance": self.span,
+            "smallest_distance": _smallest(self.distance),
+            "smallest_distance_of_quasi_static_cable": _smallest(self.static_distance),
+            "deviation": self._deviation(),
+        }
+
+    def _deviation(self) -> dict[str, Any]:
+        """Return the deviation from the quasi-static cable as one JSON-ready object.
+
+        The largest deviation with segment and time, and the swing that the budget's models allow
+        there; the share of samples beyond these models, and by how much at most.
+        """
+        if not self.deviation.size:
+            return {"largest": 0.0, "beyond_models": {"share": 0.0, "by": 0.0}}
+        moment, segment = np.unravel_index(int(self.deviation.argmax()), self.deviation.shape)
+        beyond = self.deviation - self.allowed_swing
+        return {
+            "largest": float(self.deviation[moment, segment]),
+            "segment": int(segment) + 1,
+            "time": float(self.times[moment]),
+            "allowed_swing": float(self.allowed_swing[moment, segment]),
+            "beyond_models": {
+                "share": float(np.mean(beyond > 0.0)),
+                "by": max(float(beyond.max()), 0.0),
+            },
+        }
+
+
+def _smallest(distance: Floats) -> float | None:
+    return float(distance.min()) if np.isfinite(distance).all() else None
+
 
 def planned_grips(plan: Plan) -> Grips:
     """Return the planned grip points over fold and hold, every five steps of the simulation."""
@@ -131,9 +192,22 @@ def planned_grips(plan: Plan) -> Grips:
     return Grips(times, plan.motion.at(times)[0])
 
 
+def flown_grips(trace: Trace, record: str) -> Grips:
+    """Return the reported grip points of a flight in fold and hold, on the clock of the flight.
+
+    Raises :class:`InputError` that names the ``record`` if the flight did not reach its fold.
+    """
+    known = np.isin(np.array(trace.phase, dtype=str), ["fold", "hold"])
+    known &= np.isfinite(trace.position).all(axis=(1, 2))
+    if known.sum() < 2:
+        raise InputError([Problem(record, "expected a flight that reached its fold")])
+    return Grips(trace.time[known], trace.position[known])
+
+
 def simulate_rope(
     plan: Plan,
     grips: Grips,
+    trajectory: str = "this plan",
     *,
     links: int | None = None,
     contact: bool = True,
@@ -142,10 +216,12 @@ def simulate_rope(
 ) -> RopeRun:
     """Move a rope by its grip points and identify its knot at the end.
 
-    ``links`` are distributed over the segments by length (None: LINK metres each); ``wind`` is in
-    m/s, ENU. Where the plan tightens, its inner vehicles then release and the ends move apart.
-    Raises :class:`Refused` without cable, or where it is too short for the grips at the beginning.
+    ``trajectory`` names their motion. ``links`` are distributed over the segments by length (None:
+    LINK metres each); ``wind`` is in m/s, ENU. Where the plan tightens, its inner vehicles then
+    release and the ends move apart. Raises :class:`Refused` without cable, or where it is too short
+    for the grips at the beginning.
     """
+    began = time.perf_counter()
     lengths = plan.layout.lengths
     if not len(lengths):
         raise Refused("the mission has no cable, and so no rope")
@@ -161,18 +237,42 @@ def simulate_rope(
     tightening = _tightening(plan)
     folding = float(grips.times[-1] - grips.times[0])
     duration = folding + (tightening.times[-1] if tightening else 0.0)
-    for time, places in rope.run(grips):
-        log.sample(time, rope.nodes(), places)
+    for moment, places in rope.run(grips):
+        log.sample(moment, rope.nodes(), places)
         if progress:
-            progress("moving the rope", (time - float(grips.times[0])) / duration)
+            progress("moving the rope", (moment - float(grips.times[0])) / duration)
     if tightening is not None:
         conditions = Conditions(contact, air, TIGHTENING_STEP)
         rope = Rope(cable, rope.nodes(), held[[0, -1]], conditions, extremes, rope.velocities())
-        for time, _ in rope.run(tightening):
+        for moment, _ in rope.run(tightening):
             if progress:
-                progress("tightening the rope", (folding + time) / duration)
-    return _result(
-        log, rope.nodes(), extremes, duration, contact=contact, tightened=tightening is not None
+                progress("tightening the rope", (folding + moment) / duration)
+    nodes = rope.nodes()
+    knot, chirality, gauss, as_planned = _knot(plan, nodes, tightened=tightening is not None)
+    return RopeRun(
+        plan=plan,
+        trajectory=trajectory,
+        computing_time=time.perf_counter() - began,
+        links=len(nodes) - 1,
+        simulated=duration,
+        contact=contact,
+        knot=knot,
+        chirality=chirality,
+        gauss=gauss,
+        as_planned=as_planned,
+        tightened=tightening is not None,
+        span=float(np.linalg.norm(nodes[-1] - nodes[0])),
+        contacts=extremes.contacts,
+        penetration=extremes.penetration,
+        stretch=extremes.stretch,
+        speed=extremes.speed,
+        invalid=_reasons_invalid(extremes, 0.5 * cable.diameter, contact=contact),
+        times=np.array(log.times),
+        deviation=np.array(log.deviation).reshape(-1, len(lengths)),
+        allowed_swing=np.array(log.allowed_swing).reshape(-1, len(lengths)),
+        distance=np.array(log.distance),
+        static_distance=np.array(log.static_distance),
+        shape=nodes,
     )
 
 
@@ -254,45 +354,22 @@ class _Log:
         return nearest - self.plan.mission.cable.diameter
 
 
-def _result(
-    log: _Log, nodes: Floats, extremes: Extremes, duration: float, *, contact: bool, tightened: bool
-) -> RopeRun:
-    plan = log.plan
+def _knot(plan: Plan, nodes: Floats, *, tightened: bool) -> tuple[str, str, str, bool]:
+    """Type, chirality and crossing code of a rope, and whether it has the planned knot."""
     knot, chirality, gauss, as_planned = "unknown", "none", "", False
     try:
-        found = identify_curve(nodes)
-        knot, chirality = found.name, str(found.chirality)
+        identified = identify_curve(nodes)
+        knot, chirality = identified.name, str(identified.chirality)
         code = curve_gauss(nodes)
         gauss = code.signed_text()
         as_planned = (
             (knot, chirality) == (plan.knot.type, plan.knot.chirality)
             if tightened
-            else ties_planned_knot(plan, found, code)
+            else ties_planned_knot(plan, identified, code)
         )
     except SwarmError:
         pass
-    return RopeRun(
-        links=len(nodes) - 1,
-        simulated=duration,
-        contact=contact,
-        knot=knot,
-        chirality=chirality,
-        gauss=gauss,
-        as_planned=as_planned,
-        tightened=tightened,
-        span=float(np.linalg.norm(nodes[-1] - nodes[0])),
-        contacts=extremes.contacts,
-        penetration=extremes.penetration,
-        stretch=extremes.stretch,
-        speed=extremes.speed,
-        invalid=_reasons_invalid(extremes, 0.5 * plan.mission.cable.diameter, contact=contact),
-        times=np.array(log.times),
-        deviation=np.array(log.deviation).reshape(-1, len(plan.layout.lengths)),
-        allowed_swing=np.array(log.allowed_swing).reshape(-1, len(plan.layout.lengths)),
-        distance=np.array(log.distance),
-        static_distance=np.array(log.static_distance),
-        shape=nodes,
-    )
+    return knot, chirality, gauss, as_planned
 
 
 def _reasons_invalid(extremes: Extremes, radius: float, *, contact: bool) -> tuple[str, ...]:
@@ -312,59 +389,3 @@ def _reasons_invalid(extremes: Extremes, radius: float, *, contact: bool) -> tup
     if extremes.speed > MOST_SPEED:
         reasons.append(f"a node moved at {extremes.speed:.1f} m/s, faster than {MOST_SPEED:g} m/s")
     return tuple(reasons)
-
-
-def deviation_object(run: RopeRun) -> dict[str, Any]:
-    """Return the deviation of a rope from the quasi-static cable as one JSON-ready object.
-
-    The largest deviation with segment and time, and the swing that the budget's models allow there;
-    the share of samples beyond these models, and by how much at most.
-    """
-    if not run.deviation.size:
-        return {"largest": 0.0, "beyond_models": {"share": 0.0, "by": 0.0}}
-    moment, segment = np.unravel_index(int(run.deviation.argmax()), run.deviation.shape)
-    beyond = run.deviation - run.allowed_swing
-    return {
-        "largest": float(run.deviation[moment, segment]),
-        "segment": int(segment) + 1,
-        "time": float(run.times[moment]),
-        "allowed_swing": float(run.allowed_swing[moment, segment]),
-        "beyond_models": {
-            "share": float(np.mean(beyond > 0.0)),
-            "by": max(float(beyond.max()), 0.0),
-        },
-    }
-
-
-def run_object(run: RopeRun, plan: Plan) -> dict[str, Any]:
-    """Return a run as one JSON-ready object."""
-    radius = 0.5 * plan.mission.cable.diameter
-    return {
-        "links": run.links,
-        "simulated": run.simulated,
-        "contact": run.contact,
-        "tightened": run.tightened,
-        "knot": {
-            "type": run.knot,
-            "chirality": run.chirality,
-            "gauss": run.gauss,
-            "as_planned": run.as_planned,
-        },
-        "invalid": list(run.invalid),
-        "contacts": run.contacts,
-        "penetration": {
-            "metres": run.penetration,
-            "radii": run.penetration / radius,
-            "limit": MOST_PENETRATION,
-        },
-        "stretch": {"share": run.stretch, "limit": MOST_STRETCH},
-        "speed": {"metres_per_second": run.speed, "limit": MOST_SPEED},
-        "end_distance": run.span,
-        "smallest_distance": _smallest(run.distance),
-        "smallest_distance_of_quasi_static_cable": _smallest(run.static_distance),
-        "deviation": deviation_object(run),
-    }
-
-
-def _smallest(distance: Floats) -> float | None:
-    return float(distance.min()) if np.isfinite(distance).all() else None

@@ -1,11 +1,13 @@
-"""A check of the whole table: every knot's grid is found again by search, and identified."""
+"""The table of knots in ``swarm.knots``: how it is made, and a check of the whole table.
+
+No plan and no flight needs this package.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 from swarm.knots.diagram import Diagram
-from swarm.knots.grid_drawing import grid_of_diagram
-from swarm.knots.grid_search import MOVES, minimise_grid
+from swarm.knots.grid_search import MOVES, grid_of_diagram, minimise_grid
 from swarm.knots.invariants import identify_diagram
 from swarm.knots.table import TableKnot, knot_table
 

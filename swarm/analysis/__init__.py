@@ -1,1 +1,0 @@
-"""Analyses beyond the certificate: a simulated rope, and moving apart after a release."""
