@@ -5,7 +5,7 @@ The same seed gives the same flight.
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from sitl import Emulator
@@ -29,9 +29,56 @@ __all__ = [
 SNAPSHOT_INTERVAL: Final = 0.1
 """Seconds of flight between two snapshots."""
 
-_LINK: Final = "loopback"
+LINK: Final = "loopback"
+"""The only link of an emulated fleet."""
+
 _MAX_EXTRA_TIME: Final = 600.0
 """Seconds beyond the plan's duration after which the flight is aborted."""
+
+
+@dataclass(eq=False)
+class Simulation:
+    """Conductor and emulator of a flight, which advance together in virtual time.
+
+    ``delivers`` decides whether a packet of a system id reaches the ground station (None: all do).
+    ``unread`` are packets that came while the ground station stood still: its socket keeps them.
+    """
+
+    flight_plan: FlightPlan
+    fleet: Fleet
+    conductor: Conductor
+    emulator: Emulator
+    events: list[Event] = field(default_factory=list)
+    delivers: Callable[[int, bytes], bool] | None = None
+    unread: list[tuple[int, bytes]] = field(default_factory=list)
+    on_event: Callable[[Event], None] | None = None
+
+    def advance(self, now: float, *, station: bool = True) -> None:
+        """Advance to ``now`` seconds; without ``station`` the ground station is stopped."""
+        conductor = self.conductor
+        for system, data in self.emulator.step(now):
+            if self.delivers is None or self.delivers(system, data):
+                self.unread.append((system, data))
+        if not station:
+            return
+        arrived, self.unread = self.unread, []
+        conductor.receive_all(LINK, arrived, now)
+        sent = [(p.address, p.data) for p in conductor.tick(now) if isinstance(p.address, int)]
+        self.emulator.receive_all(sent, now)
+        if conductor.stage == "ready" and conductor.audit is not None:
+            try:
+                conductor.start(go(self.flight_plan, conductor.audit))
+            except Refused as error:
+                conductor.refuse(str(error))
+        self.collect()
+
+    def collect(self) -> None:
+        """Take the events since the last call."""
+        for event in self.conductor.events():
+            self.events.append(event)
+            if self.on_event is not None:
+                self.on_event(event)
+
 
 StepCallback = Callable[[Conductor, Emulator, float], None]
 """Receives both sides of the flight and the time in seconds, after a step of virtual time."""
@@ -89,19 +136,13 @@ def simulate_flight(
     if world is None:
         world = emulated_world(plan, fleet, with_cable=not options.no_cable, seed=seed)
     emulator = Emulator(parse_world(json.dumps(world)), faults)
+    flight = Simulation(flight_plan, fleet, conductor, emulator, on_event=callbacks.on_event)
     step = 1.0 / fleet.rates.setpoint
-    events: list[Event] = []
     next_snapshot = 0.0
     tick = 0
     while conductor.finished is None:
         now = tick * step
-        _exchange_packets(conductor, emulator, now)
-        if conductor.stage == "ready" and conductor.audit is not None:
-            try:
-                conductor.start(go(flight_plan, conductor.audit))
-            except Refused as error:
-                conductor.refuse(str(error))
-        _collect_events(conductor, events, callbacks)
+        flight.advance(now)
         if callbacks.on_step is not None:
             callbacks.on_step(conductor, emulator, now)
         if callbacks.on_snapshot is not None and now >= next_snapshot:
@@ -110,29 +151,13 @@ def simulate_flight(
         if now > plan.duration + _MAX_EXTRA_TIME:
             conductor.give_up("the flight does not end")
         tick += 1
-    _collect_events(conductor, events, callbacks)
+    flight.collect()
     trace = conductor.trace()
     return FlightResult(
         outcome=conductor.finished,
         trace=trace,
-        events=tuple(events),
+        events=tuple(flight.events),
         statistics=conductor.statistics(),
         basis=conductor.basis,
         adherence=adherence(plan, trace, conductor.basis),
     )
-
-
-def _exchange_packets(conductor: Conductor, emulator: Emulator, now: float) -> None:
-    conductor.receive_all(_LINK, emulator.step(now), now)
-    outgoing = conductor.tick(now)
-    emulator.receive_all(
-        [(packet.address, packet.data) for packet in outgoing if isinstance(packet.address, int)],
-        now,
-    )
-
-
-def _collect_events(conductor: Conductor, events: list[Event], callbacks: Callbacks) -> None:
-    for event in conductor.events():
-        events.append(event)
-        if callbacks.on_event is not None:
-            callbacks.on_event(event)

@@ -22,11 +22,10 @@ from swarm.mavlink.packets import Decoder, Encoder
 from swarm.simulation.fault_injection import FAILURE_CASES
 from swarm.simulation.fault_injection.stepped_simulation import (
     HOLD,
-    LINK,
     SteppedSimulation,
     failure_test_fleet,
 )
-from swarm.simulation.loop import Fault
+from swarm.simulation.loop import LINK, Fault
 from tests.network import small_plan
 
 PLAN = small_plan(vehicles=3)

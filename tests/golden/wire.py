@@ -1,7 +1,7 @@
 """Packets on the wire, decoded by pymavlink: nothing here trusts the code that made them."""
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -34,6 +34,11 @@ class Tapped(Emulator):
     def receive(self, sysid: int, data: bytes, now: float) -> None:
         self.wire.append(Datagram(now, True, sysid, data))
         super().receive(sysid, data, now)
+
+    def receive_all(self, sent: Iterable[tuple[int, bytes]], now: float) -> None:
+        sent = list(sent)
+        self.wire += [Datagram(now, True, sysid, data) for sysid, data in sent]
+        super().receive_all(sent, now)
 
     def step(self, now: float) -> list[tuple[int, bytes]]:
         arrived = super().step(now)

@@ -15,6 +15,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from swarm.certification.certificate import CertifiedPlan
+from swarm.flight.flight_plan import FlightPlan
 from swarm.mission.fleet import Fleet
 from swarm.simulation.fault_injection.evaluation import (
     FaultTrial,
@@ -284,7 +285,7 @@ def _inject(flight: SteppedSimulation, case: FailureCase, vehicle: int) -> None:
             conductor.request("interrupt")
 
 
-def _world_fault(flight_plan: CertifiedPlan, kind: str, vehicle: int) -> dict[str, Any]:
+def _world_fault(flight_plan: FlightPlan, kind: str, vehicle: int) -> dict[str, Any]:
     """Return the values of a fault that depend on the plan.
 
     Wind is half again as strong as the certified wind, from :data:`MIN_STRONG_WIND` to

@@ -10,8 +10,8 @@ import json
 import struct
 import types
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
@@ -19,12 +19,10 @@ from pymavlink.dialects.v20 import common
 
 from swarm.certification.certificate import CertifiedPlan
 from swarm.flight.conductor import Conductor
-from swarm.flight.flight_plan import go
 from swarm.flight.parameters import plan_requirements, rules
-from swarm.flight.snapshot import Event
 from swarm.flight.world import emulated_world
 from swarm.mission.fleet import Fleet, emulated_fleet
-from swarm.simulation.loop import Emulator, parse_world
+from swarm.simulation.loop import Emulator, Simulation, parse_world
 
 T = TypeVar("T")
 
@@ -98,7 +96,6 @@ _ATOMS = (type, types.ModuleType, types.FunctionType, str, bytes, int, float, ty
 
 TeamAutopilots = Literal["px4", "ardupilot", "mixed"]
 TEAM_AUTOPILOTS: tuple[TeamAutopilots, ...] = get_args(TeamAutopilots)
-LINK = "loopback"
 HOLD = 10.0
 """Hold timeout T of the failure tests, seconds; short, to save simulated time."""
 _AUTOPILOTS: Mapping[TeamAutopilots, tuple[Literal["px4", "ardupilot"], ...]] = {
@@ -137,21 +134,10 @@ def lasting(flight: Conductor) -> tuple[object, ...]:
 
 
 @dataclass(eq=False)
-class SteppedSimulation:
-    """Conductor and emulator of a flight, in steps of virtual time.
+class SteppedSimulation(Simulation):
+    """A flight in equal steps of virtual time, which can be copied."""
 
-    ``delivers`` decides whether a packet of a system id reaches the ground station (None: all do).
-    ``unread`` are packets that came while the ground station stood still: its socket keeps them.
-    """
-
-    flight_plan: CertifiedPlan
-    fleet: Fleet
-    conductor: Conductor
-    emulator: Emulator
     ticks: int = 0
-    events: list[Event] = field(default_factory=list)
-    delivers: Callable[[int, bytes], bool] | None = None
-    unread: list[tuple[int, bytes]] = field(default_factory=list)
 
     @classmethod
     def create(cls, flight_plan: CertifiedPlan, fleet: Fleet, seed: int) -> "SteppedSimulation":
@@ -173,21 +159,7 @@ class SteppedSimulation:
     def step(self, *, station: bool = True) -> None:
         """Advance by one step; without ``station`` the ground station is stopped."""
         self.ticks += 1
-        conductor, now = self.conductor, self.now
-        for sysid, data in self.emulator.step(now):
-            if self.delivers is None or self.delivers(sysid, data):
-                self.unread.append((sysid, data))
-        if not station:
-            return
-        for sysid, data in self.unread:
-            conductor.receive(LINK, sysid, data, now)
-        self.unread.clear()
-        for outgoing in conductor.tick(now):
-            if isinstance(outgoing.address, int):
-                self.emulator.receive(outgoing.address, outgoing.data, now)
-        if conductor.stage == "ready" and conductor.audit is not None:
-            conductor.start(go(self.flight_plan, conductor.audit))
-        self.events.extend(conductor.events())
+        self.advance(self.now, station=station)
 
     def land_by_pilot(self, system: int) -> None:
         """Switch a vehicle in manual mode to landing, as its pilot would."""
