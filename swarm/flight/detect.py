@@ -23,8 +23,7 @@ from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.flight.router import answer_limit
 from swarm.flight.setup import Setup
 from swarm.flight.stages import Stage
-from swarm.mavlink.vehicle import Vehicle
-from swarm.mavlink.vehicle_state import VehicleEvent
+from swarm.mavlink.vehicle import Vehicle, VehicleEvent
 from swarm.mission.fleet import Limits
 
 SLOW_FROM = 0.6

@@ -22,8 +22,7 @@ from swarm.flight.router import Address, Outgoing, Team
 from swarm.flight.snapshot import Event
 from swarm.mavlink.frames import to_mission
 from swarm.mavlink.signing import SIGNATURE_LENGTH
-from swarm.mavlink.vehicle import Vehicle
-from swarm.mavlink.vehicle_state import VehicleEvent
+from swarm.mavlink.vehicle import Vehicle, VehicleEvent
 from swarm.mission.fleet import Fleet
 
 Floats = npt.NDArray[np.float64]

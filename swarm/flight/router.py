@@ -31,7 +31,6 @@ from pymavlink.dialects.v20 import common
 
 from swarm.certification.findings import Finding
 from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot, flying_autopilot
-from swarm.mavlink.message_handlers import HANDLED_MESSAGES
 from swarm.mavlink.packets import (
     CRC_EXTRAS,
     GROUND_COMPONENT,
@@ -46,7 +45,7 @@ from swarm.mavlink.packets import (
 from swarm.mavlink.setpoints import SetpointPacker
 from swarm.mavlink.signing import Signing
 from swarm.mavlink.telemetry_table import ASKED_AT, TelemetryTable, packet_rows, read_datagrams
-from swarm.mavlink.vehicle import Vehicle
+from swarm.mavlink.vehicle import HANDLED_MESSAGES, Vehicle
 from swarm.mission.fleet import Fleet, Limits
 
 Address = Hashable

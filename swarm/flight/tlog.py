@@ -24,9 +24,8 @@ from swarm.flight.preparation import STANDING_TIME, prepared_team
 from swarm.flight.trace import Trace
 from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
 from swarm.mavlink.frames import Frames
-from swarm.mavlink.message_handlers import HANDLED_MESSAGES
 from swarm.mavlink.packets import GROUND_SYSTEM, Decoder, Encoder, Packet, packet_length
-from swarm.mavlink.vehicle import Vehicle
+from swarm.mavlink.vehicle import HANDLED_MESSAGES, Vehicle
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
 from swarm.planning.archive import READ_ERRORS

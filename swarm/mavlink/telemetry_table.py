@@ -1,7 +1,7 @@
 """Frequent telemetry of the whole team in one table: positions, attitudes, packet counts.
 
 Nine in ten packets of a flight are of this kind. A compiled loop reads them for all vehicles at
-once. :mod:`swarm.mavlink.message_handlers` does the same for single messages, and for all others.
+once. :mod:`swarm.mavlink.vehicle` does the same for single messages, and for all others.
 """
 
 import math

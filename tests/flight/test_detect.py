@@ -24,7 +24,7 @@ from swarm.flight.observation import Expected, Observation
 from swarm.flight.router import answer_limit, timesync_interval
 from swarm.flight.stages import Stage
 from swarm.mavlink.telemetry_table import WIDTH
-from swarm.mavlink.vehicle_state import VehicleEvent
+from swarm.mavlink.vehicle import VehicleEvent
 from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.fault_injection.stepped_simulation import branch, lasting
 from tests.network import Network, small_plan

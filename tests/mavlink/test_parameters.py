@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
 from swarm.mavlink.packets import Decoder, Encoder
-from swarm.mavlink.vehicle_state import (
+from swarm.mavlink.parameters import (
     ATTEMPTS,
     FETCH_TIMEOUT,
     Parameters,
