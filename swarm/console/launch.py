@@ -18,7 +18,6 @@ from typing import Final
 from swarm.child_modules import module_command
 from swarm.console.certificate import fingerprint, read_certificate, self_signed
 from swarm.errors import InputError, Problem, reason
-from swarm.ground.priority import lower_priority
 from swarm.ground.record import control_socket
 
 DEFAULT: Final = "127.0.0.1:8765"
@@ -101,7 +100,6 @@ def open_console(folder: Path, address: Address, certificate: Path | None) -> It
             start_new_session=True,
         )
     theirs.close()
-    lower_priority(process.pid)
     host = f"[{hosts[0]}]" if ":" in hosts[0] else hosts[0]
     url = f"{'https' if pem else 'http'}://{host}:{port}/#{token}"
     message = f"Console: {url}"

@@ -7,6 +7,7 @@ newest state replaces the one before.
 
 import asyncio
 import json
+import os
 import secrets
 import signal
 import socket
@@ -34,7 +35,6 @@ from swarm.console.session import LARGEST_MESSAGE, Close, Output, Send, Session
 from swarm.errors import SwarmError
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.operator import read_screen_line
-from swarm.ground.priority import lower_priority
 from swarm.ground.record_reader import recorded_fleet, recorded_plan
 from swarm.planning import Plan
 
@@ -50,6 +50,8 @@ _SUMMARY_TIME: Final = 10.0
 """Seconds within which a flight that has ended writes its summary."""
 _LINGER: Final = 1.0
 """Seconds in which browsers get the last messages."""
+_NICENESS: Final = 3
+"""Behind the flight, and before the programs that only draw: commands come through this process."""
 _LARGEST_LINE: Final = 1 << 24
 DRAWN: Final = "drawn"
 """What a page sends when it has drawn a state."""
@@ -372,7 +374,7 @@ def main() -> None:
     An error of this program goes into the record: there is no terminal to print it on.
     """
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    lower_priority(0)
+    os.nice(_NICENESS)
     listening, folder = socket.socket(fileno=int(sys.argv[1])), Path(sys.argv[2])
     try:
         asyncio.run(_serve(listening, folder))

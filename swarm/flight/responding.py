@@ -138,6 +138,8 @@ def _hold(flight: FlightState) -> Availability:
 
 
 def _resume(flight: FlightState) -> Availability:
+    if flight.progress.rewinding:
+        return Availability(True, "stops the rewind, and continues the plan")
     if not flight.holds.causes:
         return Availability(False, "the clock is not held")
     return Availability(True, "continues the plan")

@@ -7,10 +7,12 @@ Lines are the clock, phases, what it waits for, margins, keys, and the texts of 
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from types import TracebackType
 from typing import Final, Self
 
 import numpy as np
+import numpy.typing as npt
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.rule import Rule
@@ -19,6 +21,7 @@ from rich.text import Text
 
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.stages import Stage
+from swarm.flight.words import numbers
 from swarm.ground.operator import KEYS, KILL_KEY
 from swarm.planning import Plan
 from swarm.reports import scene
@@ -32,6 +35,9 @@ from swarm.reports.formatting import (
     metres,
     worst_vehicles,
 )
+from swarm.verification import closest_pairs
+
+Floats = npt.NDArray[np.float64]
 
 BAR: Final = 8
 """Characters of the current phase's bar: all phases of the longest plan then fit into 80 columns
@@ -64,7 +70,9 @@ def clock_line(plan: Plan, snapshot: Snapshot) -> Text:
         line.append(f"  rewinding × {-snapshot.rate:.2f}", "yellow")
     elif not snapshot.waiting_for and not snapshot.held and snapshot.rate != 1.0:
         line.append(f"  clock × {snapshot.rate:.2f}", "yellow")
-    if snapshot.remaining is not None:
+    if snapshot.landing is not None:
+        line.append(f"  all landed in {clock(snapshot.landing)}")
+    elif snapshot.remaining is not None:
         line.append(f"  {clock(snapshot.remaining)} to the end")
     return line.append(f"  record {clock(snapshot.time)}", "dim")
 
@@ -101,12 +109,15 @@ def wait_line(snapshot: Snapshot) -> Text:
         line.append(f"hold{landing}: {snapshot.held}", "bold yellow")
     elif snapshot.waiting_for:
         seconds = "" if left is None else f", {left:.0f} s left"
+        if snapshot.missing and len(snapshot.missing) < len(snapshot.modes):
+            seconds += f", missing {numbers(snapshot.missing)}"
         line.append(f"waiting{seconds}: for {snapshot.waiting_for}", "yellow")
     return line
 
 
-def margin_line(snapshot: Snapshot) -> Text:
-    """Return the smallest margin of the live monitor, and the distances."""
+def margin_line(plan: Plan, snapshot: Snapshot) -> Text:
+    """Return the smallest margin of the live monitor with its kind, the distances, and the closest
+    vehicles."""
     line = Text(overflow="ellipsis", no_wrap=True)
     clearances = snapshot.clearances
     if clearances is None or not np.isfinite(clearances.margin):
@@ -114,8 +125,12 @@ def margin_line(snapshot: Snapshot) -> Text:
     margin = clearances.margin
     style = "bold red" if margin < 0 else "yellow" if margin < 0.1 else "green"
     line.append(f"margin {metres(margin)}", style)
+    (closest, *_), between = closest_pairs(plan, snapshot.position, cable=False) or (None,), ""
+    if closest is not None:
+        between = f" ({' and '.join(name.split()[-1] for name in closest.between)})"
     return line.append(
-        f"  cable {metres(clearances.cable)}, vehicles {metres(clearances.vehicle)}, "
+        f" {clearances.kind}  cable {metres(clearances.cable)}, "
+        f"vehicles {metres(clearances.vehicle)}{between}, "
         f"tautest chord {clearances.chord:.0%}{_swing(snapshot)}",
         "dim",
     )
@@ -130,14 +145,19 @@ def _swing(snapshot: Snapshot) -> str:
 
 
 def key_line(available: Mapping[str, tuple[bool, str]]) -> Text:
-    """Return the keys of all commands beside their names; those not possible now are faint."""
+    """Return the keys of all commands beside their names; those not possible now are faint.
+
+    The line fits 80 columns, with rare commands in it, too.
+    """
     line = Text(overflow="ellipsis", no_wrap=True)
+    possible_now = {request for request, (possible, _) in available.items() if possible}
+    separator = "  " if _RARE & possible_now else " · "
     for request in _ORDER:
         key, name = _KEY_NAMES[request]
-        possible, _ = available.get(request, (False, ""))
+        possible = request in possible_now
         if request in _RARE and not possible:
             continue
-        line.append(" · " if line else "", "dim")
+        line.append(separator if line else "", "dim")
         line.append(key, "bold" if possible else "dim").append(
             f" {name}", "" if possible else "dim"
         )
@@ -308,7 +328,7 @@ class FlightScreen:
                 clock_line(self._plan, snapshot),
                 phase_line(self._plan, snapshot),
                 wait_line(snapshot),
-                margin_line(snapshot),
+                margin_line(self._plan, snapshot),
                 team_table(snapshot, self._plan, self._console.height - LAST_EVENTS - OTHER_LINES),
             ]
         parts.append(Rule(style="dim"))
@@ -321,16 +341,18 @@ class FlightScreen:
 
 
 def team_table(snapshot: Snapshot, plan: Plan, rows: int) -> Table:
-    """Return the team's table; with more vehicles than ``rows``, those in the worst state."""
+    """Return the team's table; with more vehicles than ``rows``, two of them in each row, with
+    what matters most; where that is not enough, those in the worst state."""
     tracking = scene.allowed_error(plan, snapshot.mission_time)
     states = scene.vehicle_states(snapshot, tracking)
     errors = scene.tracking_errors(snapshot)
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    for name in ("vehicle", "state", "mode", "armed", "battery", "last packet", "error"):
-        right = name in {"vehicle", "battery", "last packet", "error"}
+    if len(errors) > max(rows, 4):
+        return _table_of_two(table, snapshot, errors, states, max(rows, 4))
+    for name in ("vehicle", "state", "mode", "height", "battery", "last packet", "error"):
+        right = name not in {"state", "mode"}
         table.add_column(name, justify="right" if right else "left", no_wrap=True)
-    shown = worst_vehicles(errors, snapshot.link_age, max(rows, 4))
-    for i in shown:
+    for i in range(len(errors)):
         age = snapshot.link_age[i]
         battery = snapshot.battery[i]
         off = errors[i] > tracking > 0
@@ -338,13 +360,35 @@ def team_table(snapshot: Snapshot, plan: Plan, rows: int) -> Table:
             str(i + 1),
             Text(states[i], STATE_STYLES[states[i]]),
             snapshot.modes[i] or "–",
-            "armed" if snapshot.armed[i] else "–",
+            metres(float(snapshot.position[i, 2])),
             Text(f"{battery:.0%}" if np.isfinite(battery) else "–", "red" if battery < 0.2 else ""),
             Text(f"{age:.1f} s" if np.isfinite(age) else "never", _age_style(age)),
             Text(metres(errors[i]), "bold yellow" if off else ""),
         )
+    return table
+
+
+def _table_of_two(
+    table: Table, snapshot: Snapshot, errors: Floats, states: Sequence[str], rows: int
+) -> Table:
+    """Return a table with two vehicles in each row: number, state, height and error."""
+    for name in ("", "state", "height", "error") * 2:
+        table.add_column(name, justify="left" if name == "state" else "right", no_wrap=True)
+    shown = worst_vehicles(errors, snapshot.link_age, 2 * rows)
+    half = (len(shown) + 1) // 2
+    cells = [
+        (
+            str(i + 1),
+            Text(states[i], STATE_STYLES[states[i]]),
+            metres(float(snapshot.position[i, 2])),
+            metres(errors[i]),
+        )
+        for i in shown
+    ]
     if len(shown) < len(errors):
-        table.add_row("", Text(f"and {len(errors) - len(shown)} more", "dim"))
+        cells.append(("", Text(f"and {len(errors) - len(shown)} more", "dim"), "", ""))
+    for first, second in zip_longest(cells[:half], cells[half:], fillvalue=("",) * 4):
+        table.add_row(*first, *second)
     return table
 
 

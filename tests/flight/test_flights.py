@@ -115,6 +115,10 @@ def test_rewind_goes_back_to_the_beginning_of_the_fold_and_holds():
     start = PLAN.plan.phase("fold").start
     flight.until_phase("fold", 3.0)
     flight.conductor.request("rewind")
+    flight.until_time(1.0)
+    assert flight.conductor.request("resume") == "stops the rewind, and continues the plan"
+    flight.until_phase("fold", 3.0)
+    flight.conductor.request("rewind")
     flight.run(lambda: flight.conductor.clock.time <= start + 1e-6, most=30.0)
     flight.until_time(1.0)
     assert flight.conductor.holding == (f"rewound to {start:.1f} s: the phase fold begins there")

@@ -11,17 +11,20 @@ from swarm.certification.clearances import Robustness
 from swarm.certification.distances import Tightest
 from swarm.certification.findings import Finding
 from swarm.flight.responding import REQUESTS
-from swarm.flight.snapshot import Event
+from swarm.flight.snapshot import Event, Snapshot
+from swarm.planning import Plan
 from swarm.reports.formatting import clock, log_level, metres, seconds, worst_vehicles
 from swarm.reports.plan_summary import print_plan_summary
 from swarm.reports.terminal import (
     FlightScreen,
     clock_line,
     key_line,
+    margin_line,
     phase_line,
     team_table,
     wait_line,
 )
+from swarm.verification import closest_pairs
 from tests.reports.synthetic import snapshot_at, trefoil_plan
 
 PLAN = trefoil_plan()
@@ -237,10 +240,11 @@ def test_every_command_has_a_key_beside_it() -> None:
     available = {request: (request != "resume", "") for request in REQUESTS}
     line = key_line(available)
     assert line.plain == (
-        "h hold · r resume · b rewind · l land · x release · j rejoin · a abort · k kill · ^C end"
+        "h hold  r resume  b rewind  l land  x release  j rejoin  a abort  k kill  ^C end"
     )
+    assert len(line.plain) == 80
     faint = [line.plain[span.start : span.end] for span in line.spans if span.style == "dim"]
-    assert [text for text in faint if text != " · "] == ["r", " resume"]
+    assert [text for text in faint if text != "  "] == ["r", " resume"]
     usual = key_line({**available, "rejoin": (False, "")})
     assert "rejoin" not in usual.plain
     assert len(usual.plain) <= 80
@@ -316,7 +320,62 @@ def test_problems_of_a_vehicle_are_in_its_row() -> None:
     assert "7.0" in rows[3]
     assert rows[4][1] == "silent"
     assert "never" in rows[4]
-    assert rows[5][4] == "–"
+    assert rows[5][5] == "–"
+
+
+def drawn_at_80_by_24(plan: Plan, shown: Snapshot) -> list[str]:
+    console = screen(80, 24)
+    with FlightScreen(plan, console, keys=True) as flight:
+        for k in range(20):
+            flight.event(Event(40.0 + 7 * k, "gate", f"event {k} of a flight with long words " * 4))
+        flight.show(shown)
+        lines = console.render_lines(flight.drawing(), pad=False)
+    return ["".join(part.text for part in line).rstrip() for line in lines]
+
+
+@pytest.mark.parametrize("number", [13, 19])
+def test_all_vehicles_of_large_teams_are_on_a_small_terminal(number: int) -> None:
+    nine = snapshot_at(PLAN, 50.0)
+    chosen = [k % 9 for k in range(number)]
+    many = replace(
+        nine,
+        **{
+            name: getattr(nine, name)[chosen]
+            for name in ("position", "velocity", "setpoint", "battery", "link_age")
+        },
+        **{
+            name: tuple(getattr(nine, name)[k] for k in chosen)
+            for name in ("modes", "states", "armed", "gripped")
+        },
+        available=dict.fromkeys(REQUESTS, (True, "")),
+    )
+    lines = drawn_at_80_by_24(PLAN, many)
+    assert len(lines) <= 23
+    assert max(map(len, lines)) <= 80
+    rows = [line.split() for line in lines]
+    for vehicle in range(1, number + 1):
+        assert any(str(vehicle) in (row[0], *row[6:7], *row[7:8]) for row in rows if row), lines
+    assert lines[-1] == (
+        "h hold  r resume  b rewind  l land  x release  j rejoin  a abort  k kill  ^C end"
+    )
+
+
+def test_heights_the_closest_vehicles_and_who_is_missing_are_on_the_screen() -> None:
+    shown = snapshot_at(PLAN, 12.0)
+    waiting = replace(shown, missing=(2, 3, 7), landing=95.2)
+    assert lines_of(clock_line(PLAN, waiting), wait_line(waiting)) == [
+        "overhand  grab  0:12.0 of 1:29.0  all landed in 1:35.2  record 0:12.0",
+        "waiting, 24 s left, missing 2–3, 7: for all vehicles to grip the cable "
+        "(gate before contract)",
+    ]
+    folding = snapshot_at(PLAN, 50.0)
+    first, second = closest_pairs(PLAN, folding.position, cable=False)[0].between
+    numbers = f"({first.split()[1]} and {second.split()[1]})"
+    assert numbers in margin_line(PLAN, folding).plain
+    console = plain()
+    console.print(team_table(folding, PLAN, 20))
+    rows = [line.split() for line in printed(console).splitlines()[1:]]
+    assert [row[3] for row in rows] == [f"{z:.2f}" for z in folding.position[:, 2]]
 
 
 def test_with_many_vehicles_the_worst_are_listed() -> None:
