@@ -19,9 +19,9 @@ from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
+from swarm.certification.findings import numbers
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.stages import Stage
-from swarm.flight.words import numbers
 from swarm.ground.operator import KEYS, KILL_KEY
 from swarm.planning import Plan
 from swarm.reports import scene

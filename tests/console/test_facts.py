@@ -130,7 +130,10 @@ def test_a_flight_says_who_is_missing_when_all_have_landed_and_which_windows_are
     assert seen.problems[0] == "no heartbeat of a PX4 or ArduPilot"
     assert seen.landing is None
     flight.run(
-        lambda: flight.conductor.waiting and flight.conductor.state.gate.condition == "gripped"
+        lambda: (
+            flight.conductor.state.progress.waiting
+            and flight.conductor.state.gate.condition == "gripped"
+        )
     )
     flight.until_time(0.8)
     seen = flight.conductor.snapshot(flight.now)
