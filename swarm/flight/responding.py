@@ -94,7 +94,7 @@ def request(flight: FlightState, command: Request, author: str = "") -> str:
     by = f" by {author}" if author else ""
     flight.report("operator", f"{command}{by}: {answer.words}")
     if answer.open:
-        _ACTIONS[command](flight)
+        _COMMANDS[command].act(flight)
     return answer.words
 
 
@@ -112,22 +112,12 @@ def available(flight: FlightState) -> Mapping[Request, Availability]:
         closed = Availability(False, "no vehicle flies yet")
         end = Availability(True, "ends here: no vehicle is armed")
         return {**dict.fromkeys(REQUESTS, closed), "interrupt": end, "abort": closed}
-    kill = Availability(True, "stops all motors at once, also in the air")
-    interrupt = Availability(True, "holds, then lands all together; again: lands at once")
     if flight.contingency is not None:
         closed = Availability(False, "the team has already left the plan")
-        return {**dict.fromkeys(REQUESTS, closed), "kill": kill, "interrupt": interrupt}
-    return {
-        "hold": _hold(flight),
-        "resume": _resume(flight),
-        "rewind": _rewind(flight),
-        "land": _land(flight),
-        "release": _release(flight),
-        "rejoin": _rejoin(flight),
-        "abort": _abort(flight),
-        "kill": kill,
-        "interrupt": interrupt,
-    }
+        still: tuple[Request, ...] = ("kill", "interrupt")
+        effects = {command: _COMMANDS[command].effect(flight) for command in still}
+        return {**dict.fromkeys(REQUESTS, closed), **effects}
+    return {command: row.effect(flight) for command, row in _COMMANDS.items()}
 
 
 def _hold(flight: FlightState) -> Availability:
@@ -206,14 +196,6 @@ def _do_rewind(flight: FlightState) -> None:
     flight.progress.rewinding = True
 
 
-def _do_land(flight: FlightState) -> None:
-    leave_the_plan(flight, Response.LAND, "operator command: land")
-
-
-def _do_release(flight: FlightState) -> None:
-    leave_the_plan(flight, Response.RELEASE, "operator command: release")
-
-
 def _do_abort(flight: FlightState) -> None:
     """Choose the quickest end that drops no cable on a rotor."""
     release = flight.attached and flight.setup.windows.can_release(flight.clock.time)
@@ -246,14 +228,31 @@ def _do_interrupt(flight: FlightState) -> None:
         flight.hold(OPERATOR, "interrupted")
 
 
-_ACTIONS: Mapping[Request, Callable[[FlightState], None]] = {
-    "hold": _do_hold,
-    "resume": _do_resume,
-    "rewind": _do_rewind,
-    "land": _do_land,
-    "release": _do_release,
-    "rejoin": rejoin,
-    "abort": _do_abort,
-    "kill": _do_kill,
-    "interrupt": _do_interrupt,
+class _Command(NamedTuple):
+    """A command of the operator: whether it is possible now, with its effect; and its action."""
+
+    effect: Callable[[FlightState], Availability]
+    act: Callable[[FlightState], None]
+
+
+_COMMANDS: Mapping[Request, _Command] = {
+    "hold": _Command(_hold, _do_hold),
+    "resume": _Command(_resume, _do_resume),
+    "rewind": _Command(_rewind, _do_rewind),
+    "land": _Command(
+        _land, lambda flight: leave_the_plan(flight, Response.LAND, "operator command: land")
+    ),
+    "release": _Command(
+        _release,
+        lambda flight: leave_the_plan(flight, Response.RELEASE, "operator command: release"),
+    ),
+    "rejoin": _Command(_rejoin, rejoin),
+    "abort": _Command(_abort, _do_abort),
+    "kill": _Command(
+        lambda _: Availability(True, "stops all motors at once, also in the air"), _do_kill
+    ),
+    "interrupt": _Command(
+        lambda _: Availability(True, "holds, then lands all together; again: lands at once"),
+        _do_interrupt,
+    ),
 }
