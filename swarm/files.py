@@ -102,6 +102,14 @@ def read_bytes(path: str | os.PathLike[str], largest: int) -> bytes:
     return data
 
 
+def require_writable(path: str | os.PathLike[str]) -> None:
+    """Raise :class:`InputError` where a file cannot be written; a new file is created, empty."""
+    try:
+        Path(path).open("ab").close()
+    except OSError as error:
+        raise InputError([Problem(os.fspath(path), reason(error))]) from None
+
+
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write UTF-8 text; raises :class:`InputError` where that fails."""
     write_bytes(path, text.encode("utf-8"))

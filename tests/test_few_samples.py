@@ -22,11 +22,9 @@ from swarm.formats.table import samples_table
 from swarm.mission import parse_mission
 from swarm.mission.fleet import emulated_fleet
 from swarm.planning.candidates import make_plan
-from swarm.reports.flight_json import outcome_object
-from swarm.reports.flight_report import flight_report
-from swarm.reports.flight_text import print_outcome
+from swarm.reports.flight import flight_report, outcome_object, print_outcome
 from swarm.reports.layout_sheet import layout_sheet
-from swarm.reports.plan_report import plan_report
+from swarm.reports.plan import plan_report
 from swarm.reports.plots import flight_figure
 from swarm.simulation.monte_carlo.spread import Spread, draw
 from swarm.verification import verify_trace
@@ -108,7 +106,7 @@ def test_every_reader_of_a_trace_reads_a_short_one(
     outcome = outcome_object(plan, result, verification, assessment)
     page = flight_report(plan, assessment, outcome, trace, ())
     printed = io.StringIO()
-    print_outcome(plan, result, verification, assessment, Console(file=printed))
+    print_outcome(plan, result, outcome, Console(file=printed))
     assert all("not received: vehicle 1" in text for text in (page, printed.getvalue()))
     assert samples_table(sampled_flight(plan, trace)).num_rows == samples
     flight_figure(plan, trace)

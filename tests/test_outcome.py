@@ -6,9 +6,7 @@ import pytest
 from rich.console import Console
 
 from swarm.flight.trace import Trace
-from swarm.reports.flight_json import verification_object
-from swarm.reports.flight_report import flight_report
-from swarm.reports.flight_text import print_verification
+from swarm.reports.flight import flight_report, print_verification, verification_object
 from swarm.verification import verify_trace
 from tests.command import run
 from tests.network import small_plan
@@ -45,15 +43,14 @@ def test_a_flight_that_ends_before_the_fold_has_no_table_of_distances():
     trace = Trace(*[positions[:, 0, 0]] * 2, positions, positions, ("takeoff",))
     flown = verify_trace(flight_plan.plan, trace)
     console = Console(file=io.StringIO(), width=100)
-    print_verification(flight_plan.plan, flown, flight_plan.assessment, console)
+    document = verification_object(flown, flight_plan.assessment)
+    print_verification(flight_plan.plan, document, console)
     assert console.file.getvalue().splitlines() == [
         "The knot of the cable is unknown (planned: 0_1)",
         "The fold was not flown: it has no tracking error",
         "note no positions were reported in the hold",
     ]
-    told = outcome(
-        **verification_object(flown, flight_plan.assessment), outcome="failed", explanation="down"
-    )
+    told = outcome(**document, outcome="failed", explanation="down")
     words = Reader(flight_report(flight_plan.plan, flight_plan.assessment, told, trace, [])).words
     assert "Failed: down. The knot of the cable is not known." in words
     assert "Smallest distances" not in words

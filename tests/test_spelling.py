@@ -12,8 +12,7 @@ import pytest
 from click.shell_completion import BashComplete
 
 from sitl.__main__ import command as emulator
-from swarm.cli.completion import VARIABLE
-from swarm.cli.main import COMMANDS, SECTIONS, cli, current_spelling
+from swarm.cli.main import COMMANDS, SECTIONS, VARIABLE, cli, current_spelling
 from tests.command import run
 
 PROGRAM = Path(sys.executable).parent / "swarm"

@@ -15,12 +15,12 @@ from rich.console import Console
 from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.errors import InputError, Refused, SwarmError
 from swarm.flight.setup import FlightOptions
-from swarm.front.trials import TrialSeries, fly_series
+from swarm.front.trials import fly_series
 from swarm.ground.fly import fly
 from swarm.mission import parse_mission
 from swarm.mission.fleet import emulated_fleet
 from swarm.planning.candidates import make_plan
-from swarm.reports.trials_text import print_trials
+from swarm.reports.trials import print_trials
 from swarm.simulation.monte_carlo import (
     CertifiedClearances,
     Spread,
@@ -133,12 +133,12 @@ def test_trials_in_processes_are_the_trials_flown_alone():
 def test_trials_before_the_death_of_a_worker_are_kept():
     killed = []
 
-    def kill() -> None:
+    def kill(_done: int) -> None:
         if not killed:
             killed.append(children("loky.backend.popen_loky_posix")[0])
             os.kill(killed[0], signal.SIGKILL)
 
-    flown, ended = fly_series(FLIGHT_PLAN, TrialSeries(40, 5, CALM, ()), 2, None, kill)
+    flown, ended = fly_series(FLIGHT_PLAN, CALM, trials=40, seed=5, jobs=2, on_trial=kill)
     assert 1 <= len(flown) < 40
     assert type(ended) is SwarmError
     assert str(ended) == "a worker process was killed (too little memory for as many --jobs?)"

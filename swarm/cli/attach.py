@@ -19,7 +19,7 @@ import click
 from rich.console import Console
 
 from swarm.cli.flight_session import CONSOLE, CONSOLE_CERTIFICATE, opened_console
-from swarm.cli.inputs import JSON, print_json, refuse_option_conflicts
+from swarm.cli.inputs import FOLDER, JSON, print_json, refuse_option_conflicts
 from swarm.errors import InputError, Problem, Refused, VehicleError, reason
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.flight_process import MODULE
@@ -38,9 +38,7 @@ _DETACH = "d"
 
 
 @click.command()
-@click.argument(
-    "record", type=click.Path(file_okay=False, path_type=Path), metavar="[RECORD]", required=False
-)
+@click.argument("record", type=FOLDER, metavar="[RECORD]", required=False)
 @CONSOLE
 @CONSOLE_CERTIFICATE
 @click.pass_context

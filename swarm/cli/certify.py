@@ -5,22 +5,22 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from swarm.cli.inputs import JSON, SET, print_json, progress_bar
+from swarm.cli.inputs import FILE, JSON, SET, print_json, progress_bar
 from swarm.exports import assessment_object
 from swarm.files import read_text
 from swarm.front.certificates import Cable, Motion
 from swarm.front.certificates import certify as certify_motion
 from swarm.mission import Mission, mission_for_knot, parse_mission
 from swarm.mission.validation import LARGEST_FILE
-from swarm.reports.findings_text import print_findings
+from swarm.reports.plan import print_findings
 
 
 @click.command()
-@click.argument("motion", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("motion", type=FILE)
 @click.option(
     "--cable",
     required=True,
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     metavar="SEGMENTS",
     help="Lengths of the segments in metres: JSON (a list, or a plan's JSON) or CSV.",
 )
@@ -33,7 +33,7 @@ from swarm.reports.findings_text import print_findings
 )
 @click.option(
     "--mission",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="Mission file with cable, vehicles, clearances, wind and workspace.",
 )
 @click.option("--robustness", is_flag=True, help="Compute e* and w* too; takes longer.")

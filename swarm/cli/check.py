@@ -13,10 +13,13 @@ from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding
 from swarm.cli.flight_session import RTCM
 from swarm.cli.inputs import (
+    FILE,
+    FOLDER,
     JSON,
     OUTPUT,
     REPLAN,
     SET,
+    YES,
     ProgressLine,
     print_json,
     progress_bar,
@@ -38,10 +41,15 @@ from swarm.ground.world_clock import require_clock
 from swarm.mission.fleet import Fleet, emulated_fleet, with_tracking
 from swarm.mission.mission import LARGEST_TRACKING
 from swarm.mission.validation import LARGEST_FILE
-from swarm.reports.check_json import check_object
-from swarm.reports.check_text import logs_table, parameter_table, print_check
-from swarm.reports.flight_json import logs_object
+from swarm.reports.check import (
+    check_object,
+    logs_object,
+    logs_table,
+    parameter_table,
+    print_check,
+)
 from swarm.reports.layout_sheet import layout_sheet
+from swarm.reports.result import drawn
 from swarm.reports.terminal import FlightScreen
 
 EMULATED_VEHICLES = 9
@@ -110,7 +118,7 @@ class Options:
 )
 @click.option(
     "--restore",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     metavar="FOLDER",
     help="Restore the parameters and fences that an earlier check or flight saved in FOLDER.",
 )
@@ -130,18 +138,18 @@ class Options:
 )
 @click.option(
     "--sheet",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="Write a layout sheet to print (HTML): cable, marks, pads, labels, parameters.",
 )
 @click.option(
     "--logs",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     metavar="FOLDER",
     help="Instead of a check, fetch the newest log of every autopilot into FOLDER.",
 )
 @click.option(
     "--record",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     help="Folder for saved parameters and the hop. Default: a new folder in checks/.",
 )
 @click.option(
@@ -153,11 +161,11 @@ class Options:
 )
 @click.option(
     "--clock",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="The hop follows the time in this file, as `swarm fly --clock`.",
 )
 @RTCM
-@click.option("--yes", is_flag=True, help="Do not ask for confirmation; errors still refuse.")
+@YES
 @click.pass_context
 def check(context: click.Context, /, **options: Any) -> None:
     """Check a fleet on the ground, and against MISSION if given.
@@ -233,7 +241,7 @@ def _fix_question(
 ) -> Callable[[Sequence[ParameterResult]], bool]:
     def confirmed(rows: Sequence[ParameterResult]) -> bool:
         with progress.hidden():
-            console.print(parameter_table(rows))
+            console.print(drawn(parameter_table(rows)))
             if yes:
                 return True
             if not sys.stdin.isatty():
@@ -298,5 +306,5 @@ def _fetch_logs(given: Options, folder: Path) -> int:
     if given.as_json:
         print_json(logs_object(logs))
     else:
-        Console().print(logs_table(logs))
+        Console().print(drawn(logs_table(logs)))
     return 0 if all(log.path for log in logs) else VehicleError.exit_code

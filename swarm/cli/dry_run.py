@@ -1,48 +1,39 @@
 """``swarm dry-run``: one simulated flight of a mission, in virtual time."""
 
-from typing import Any
+from pathlib import Path
+from typing import Literal
 
 import click
 from rich.console import Console
 
-from swarm import planner
 from swarm.cli.inputs import (
     FILE,
-    JSON,
-    MISSION,
     OUTPUT,
-    REPLAN,
-    SET,
-    VERBOSE,
+    REPORT,
+    SEED,
     print_json,
     refuse_option_conflicts,
 )
-from swarm.cli.planning import load_source, prepare_flight, require_cleared
+from swarm.cli.planning import Given, prepare_flight, with_mission
 from swarm.files import write_text
-from swarm.flight.result import FlightResult
 from swarm.flight.setup import FlightOptions
 from swarm.mission.fleet import emulated_fleet
-from swarm.reports.flight_json import outcome_object
-from swarm.reports.flight_text import print_outcome
+from swarm.reports.flight import flight_report, outcome_object, print_outcome
 from swarm.reports.terminal import FlightScreen
 from swarm.simulation.loop import Callbacks, simulate_flight
 from swarm.verification import verify_trace
 
 
 @click.command("dry-run")
-@MISSION
-@SET
-@REPLAN
-@JSON
-@VERBOSE
-@click.option("--seed", default=1, show_default=True, help="Seed of all random values.")
+@with_mission()
+@SEED
 @click.option(
     "--cable",
     type=click.Choice(["swinging", "static"]),
     help="Emulated cable: a chain of masses, or catenaries without inertia.  [default: swinging]",
 )
 @click.option("--no-cable", is_flag=True, help="Fly without cable; simulate the grips.")
-@click.option("--report", type=OUTPUT, help="Write a report (one HTML file).")
+@REPORT
 @click.option(
     "--plot", type=OUTPUT, help="Plot distances, tracking errors and mission clock (PNG)."
 )
@@ -60,13 +51,16 @@ from swarm.verification import verify_trace
 @click.pass_context
 def dry_run(
     context: click.Context,
+    given: Given,
     /,
-    mission: str,
-    overrides: tuple[str, ...],
-    replan: bool,
-    as_json: bool,
-    verbose: bool,
-    **options: Any,
+    seed: int,
+    cable: Literal["swinging", "static"] | None,
+    no_cable: bool,
+    report: Path | None,
+    plot: Path | None,
+    recording: Path | None,
+    trial: int | None,
+    scenario: Path | None,
 ) -> None:
     """Simulate a flight of MISSION (a mission or plan file, or the name of a knot) in virtual time.
 
@@ -78,80 +72,51 @@ def dry_run(
 
     Example: swarm dry-run missions/overhand.yaml --report flight.html
     """
-    refuse_option_conflicts(options, _REQUIRES, _EXCLUDES)
-    planned = load_source(mission, overrides, replan=replan, flight=True).planned()
-    require_cleared(context, planned, verbose=verbose, as_json=as_json)
+    refuse_option_conflicts(
+        {"cable": cable, "no_cable": no_cable, "trial": trial, "scenario": scenario},
+        {"scenario": ("trial",)},
+        [("cable", "no_cable"), ("cable", "trial"), ("no_cable", "trial")],
+    )
+    planned = given.source(flight=True).planned()
+    given.require_cleared(context, planned)
     prepare_flight()
-    with FlightScreen(planned.plan, Console(quiet=as_json)) as screen:
-        result = _fly(planned, screen, options)
-    _end(context, planned, result, options, as_json=as_json)
+    plan, assessment, flight_plan = planned.plan, planned.assessment, planned.certified()
+    with FlightScreen(plan, Console(quiet=given.as_json)) as screen:
+        callbacks = Callbacks(on_snapshot=screen.show, on_event=screen.event)
+        if trial is None:
+            fleet = emulated_fleet(plan.vehicles, seed=seed, cable=cable or "swinging")
+            result = simulate_flight(
+                flight_plan,
+                fleet=fleet,
+                seed=seed,
+                options=FlightOptions(no_cable=no_cable),
+                callbacks=callbacks,
+            )
+        else:
+            from swarm.front.trials import load_scenario  # noqa: PLC0415 - slow to import
+            from swarm.simulation.monte_carlo import fly_trial  # noqa: PLC0415
 
-
-def _fly(
-    planned: planner.PlanningResult, screen: FlightScreen, options: dict[str, Any]
-) -> FlightResult:
-    """Return one flight, under nominal conditions or under those of one trial."""
-    flight_plan = planned.certified()
-    callbacks = Callbacks(on_snapshot=screen.show, on_event=screen.event)
-    if options["trial"] is None:
-        count, seed = flight_plan.plan.vehicles, options["seed"]
-        return simulate_flight(
-            flight_plan,
-            fleet=emulated_fleet(count, seed=seed, cable=options["cable"] or "swinging"),
-            seed=seed,
-            options=FlightOptions(no_cable=options["no_cable"]),
-            callbacks=callbacks,
-        )
-    from swarm.front.trials import load_scenario  # noqa: PLC0415 - slow to import
-    from swarm.simulation.monte_carlo import fly_trial  # noqa: PLC0415 - slow to import
-
-    spread, faults = load_scenario(options["scenario"])
-    return fly_trial(
-        flight_plan,
-        spread,
-        options["seed"],
-        options["trial"],
-        faults=faults,
-        callbacks=callbacks,
-    )[1]
-
-
-def _end(
-    context: click.Context,
-    planned: planner.PlanningResult,
-    result: FlightResult,
-    options: dict[str, Any],
-    *,
-    as_json: bool,
-) -> None:
-    """Write the files of a flight, print its outcome, and exit with its code."""
-    plan, assessment = planned.plan, planned.assessment
+            spread, faults = load_scenario(scenario)
+            _, result = fly_trial(
+                flight_plan, spread, seed, trial, faults=faults, callbacks=callbacks
+            )
     verification = verify_trace(plan, result.trace)
     outcome = outcome_object(plan, result, verification, assessment)
-    if options["plot"]:
-        from swarm.reports.plots import plot_flight  # noqa: PLC0415 - slow to import
+    if plot:
+        from swarm.reports.plots import flight_figure, save  # noqa: PLC0415 - slow to import
 
-        plot_flight(plan, result.trace, options["plot"])
-    if options["recording"]:
+        save(flight_figure(plan, result.trace), plot)
+    if recording:
         from swarm.view.replay import write_flight  # noqa: PLC0415 - slow to import
 
-        write_flight(plan, result.trace, result.events, options["recording"])
-    if options["report"]:
-        from swarm.reports.flight_report import flight_report  # noqa: PLC0415 - slow to import
-
-        page = flight_report(plan, assessment, outcome, result.trace, result.events)
-        write_text(options["report"], page)
-    if as_json:
+        write_flight(plan, result.trace, result.events, recording)
+    if report:
+        write_text(report, flight_report(plan, assessment, outcome, result.trace, result.events))
+    if given.as_json:
         print_json(outcome)
     else:
-        print_outcome(plan, result, verification, assessment, Console())
+        print_outcome(plan, result, outcome, Console())
     error = result.error()
     if error is not None:
         raise error
     context.exit(0 if verification.as_planned else 1)
-
-
-_REQUIRES = {"scenario": ("trial",)}
-"""Option → options of which it requires one."""
-_EXCLUDES = (("cable", "no_cable"), ("cable", "trial"), ("no_cable", "trial"))
-"""Pairs of options that exclude each other."""

@@ -1,25 +1,24 @@
 """``swarm failures``: failure tests, one fault per flight; without a mission, the responses."""
 
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import click
 from click.core import ParameterSource
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from swarm import planner
 from swarm.cli.inputs import (
     JOBS,
     JSON,
     OUTPUT,
     REPLAN,
+    REPORT,
     SCHEDULER,
+    SEED,
     SET,
     VERBOSE,
+    counting_bar,
     missions,
     print_json,
     refuse_option_conflicts,
@@ -28,12 +27,9 @@ from swarm.cli.planning import load_source, require_cleared
 from swarm.files import write_text
 from swarm.flight.failures import response_rows
 from swarm.flight.stages import Stage, mermaid
-from swarm.reports.failures_report import failures_report
-from swarm.reports.failures_text import print_failures
+from swarm.reports.failures import failures_report, print_failures
 from swarm.simulation.fault_injection import (
-    SYSTEM_FAILURE_CASES,
     TEAM_AUTOPILOTS,
-    FailureTest,
     FailureTestSettings,
     TeamAutopilots,
     run_failure_tests,
@@ -58,20 +54,6 @@ def print_responses(*, whole: bool, diagram: bool) -> None:
         if whole or row[1] == Stage.EXECUTE.name.lower():
             table.add_row(*row[:count])
     Console(width=None if whole else 100).print(table, highlight=False)
-
-
-@dataclass(frozen=True)
-class FailureOptions:
-    """The options of the failure tests."""
-
-    repeat: int
-    team: tuple[TeamAutopilots, ...]
-    filter: tuple[str, ...]
-    seed: int
-    jobs: int | None
-    scheduler: str | None
-    output: Path | None
-    report: Path | None
 
 
 @click.command()
@@ -103,7 +85,7 @@ class FailureOptions:
     help="Autopilots of the team; can be repeated.  [default: each]",
 )
 @click.option("--filter", multiple=True, metavar="TEXT", help="Only cases whose name has TEXT.")
-@click.option("--seed", default=1, show_default=True, help="Seed of all random values.")
+@SEED
 @JOBS
 @SCHEDULER
 @click.option(
@@ -112,7 +94,7 @@ class FailureOptions:
     type=OUTPUT,
     help="Append each result (JSON lines); results that the file holds are not flown again.",
 )
-@click.option("--report", type=OUTPUT, help="Write a report (one HTML file).")
+@REPORT
 @click.pass_context
 def failures(
     context: click.Context,
@@ -124,7 +106,14 @@ def failures(
     verbose: bool,
     table: bool,
     diagram: bool,
-    **options: Any,
+    repeat: int,
+    team: tuple[TeamAutopilots, ...],
+    filter: tuple[str, ...],  # noqa: A002 - the name of the option
+    seed: int,
+    jobs: int | None,
+    scheduler: str | None,
+    output: Path | None,
+    report: Path | None,
 ) -> None:
     """Run failure tests on MISSION, or print the team's response to every failure.
 
@@ -142,10 +131,30 @@ def failures(
         return
     if table or diagram:
         raise click.UsageError("--table and --diagram are of the responses: leave MISSION out")
-    refuse_option_conflicts(options, {}, [("jobs", "scheduler")])
+    refuse_option_conflicts({"jobs": jobs, "scheduler": scheduler}, {}, [("jobs", "scheduler")])
     planned = load_source(mission, overrides, replan=replan, flight=True).planned()
     require_cleared(context, planned, verbose=verbose, as_json=as_json)
-    run_failures(context, planned, FailureOptions(**options), as_json=as_json)
+    teams = [autopilots for autopilots in TEAM_AUTOPILOTS if not team or autopilots in team]
+    settings = FailureTestSettings(cases_of(planned.plan, filter), teams, repeat, seed)
+    header = results_header(planned.plan, seed)
+    with counting_bar("failure tests") as progress:
+        results = run_failure_tests(
+            planned.certified(),
+            settings,
+            jobs=jobs,
+            scheduler=scheduler,
+            progress=progress,
+            earlier_results=open_results(output, header) if output else (),
+            on_result=partial(append_results, output) if output else None,
+        )
+    tests = [result.document() for result in results]
+    if report:
+        write_text(report, failures_report(planned.plan, tests))
+    if as_json:
+        print_json({"failures": tests})
+    else:
+        print_failures(tests, Console(), system_cases=not filter)
+    context.exit(0 if all(test["passed"] for test in tests) else 1)
 
 
 def _refuse_without_mission(context: click.Context) -> None:
@@ -159,42 +168,3 @@ def _refuse_without_mission(context: click.Context) -> None:
     ]
     if names:
         raise click.UsageError(f"{', '.join(names)}: expected a MISSION to fly failure tests on")
-
-
-def run_failures(
-    context: click.Context,
-    planned: planner.PlanningResult,
-    options: FailureOptions,
-    *,
-    as_json: bool,
-) -> None:
-    """Run the failure tests, print or write the results, and exit with their code."""
-    tests = [test.document() for test in _run(planned, options)]
-    if options.report:
-        write_text(options.report, failures_report(planned.plan, tests, SYSTEM_FAILURE_CASES))
-    if as_json:
-        print_json({"failures": tests})
-    else:
-        print_failures(tests, Console(), system_cases=not options.filter)
-    context.exit(0 if all(test["passed"] for test in tests) else 1)
-
-
-def _run(planned: planner.PlanningResult, options: FailureOptions) -> tuple[FailureTest, ...]:
-    cases = cases_of(planned.plan, options.filter)
-    teams = [team for team in TEAM_AUTOPILOTS if not options.team or team in options.team]
-    header = results_header(planned.plan, options.seed)
-    console = Console(stderr=True)
-    with Progress(
-        TextColumn("failure tests"), BarColumn(bar_width=30), MofNCompleteColumn(),
-        TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal,
-    ) as bar:  # fmt: skip
-        task = bar.add_task("failure tests", total=None)
-        return run_failure_tests(
-            planned.certified(),
-            FailureTestSettings(cases, teams, options.repeat, options.seed),
-            jobs=options.jobs,
-            scheduler=options.scheduler,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
-            earlier_results=open_results(options.output, header) if options.output else (),
-            on_result=partial(append_results, options.output) if options.output else None,
-        )

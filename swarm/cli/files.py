@@ -7,7 +7,7 @@ from typing import Any, get_args
 import click
 from pydantic.fields import FieldInfo
 
-from swarm.cli.inputs import OUTPUT, print_json
+from swarm.cli.inputs import FOLDER, OUTPUT, print_json
 from swarm.errors import InputError, Problem, reason
 from swarm.files import write_text
 from swarm.knots.catalog import choose_knot
@@ -127,7 +127,7 @@ init.help = (init.help or "").format(
 @click.argument("kind", type=click.Choice(KINDS), default="mission")
 @click.option(
     "--write",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     metavar="FOLDER",
     help="Write the schemas of all kinds of files to this folder.",
 )

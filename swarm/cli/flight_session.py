@@ -19,8 +19,7 @@ from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.corrections import parse_source
 from swarm.planning import Plan
-from swarm.reports.flight_json import outcome_object
-from swarm.reports.flight_text import print_outcome
+from swarm.reports.flight import flight_report, outcome_object, print_outcome
 from swarm.reports.terminal import FlightScreen
 from swarm.verification import verify_trace
 from swarm.view import rerun_log
@@ -121,8 +120,6 @@ def end_flight(
     as_json: bool,
 ) -> None:
     """Write the report of a flight, print its outcome, and exit with its code."""
-    from swarm.reports.flight_report import flight_report  # noqa: PLC0415 - slow to import
-
     verification = verify_trace(plan, result.trace)
     outcome = outcome_object(plan, result, verification, assessment)
     report = flight_report(plan, assessment, outcome, result.trace, result.events)
@@ -131,7 +128,7 @@ def end_flight(
         print_json(outcome)
     else:
         console = Console()
-        print_outcome(plan, result, verification, assessment, console)
+        print_outcome(plan, result, outcome, console)
         console.print(f"Record: {folder}", soft_wrap=True, highlight=False)
     error = result.error()
     if error is not None:

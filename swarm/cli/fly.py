@@ -25,10 +25,13 @@ from swarm.cli.flight_session import (
     opened_console,
 )
 from swarm.cli.inputs import (
+    FILE,
+    FOLDER,
     JSON,
     REPLAN,
     SET,
     VERBOSE,
+    YES,
     Address,
     refuse_option_conflicts,
 )
@@ -58,7 +61,7 @@ from swarm.mission import Mission
 from swarm.mission.fleet import Fleet, emulated_fleet
 from swarm.planner import certify_again
 from swarm.planning.estimates import require_fleet
-from swarm.reports.findings_text import findings_table
+from swarm.reports.result import drawn, findings_table
 
 LARGEST_LOG = 1 << 30
 """Bytes of the packets of the interrupted flight."""
@@ -185,7 +188,7 @@ class Options:
 @VERBOSE
 @click.option(
     "--fleet",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="Fleet file: vehicles and their links. Default: the built-in emulator.",
 )
 @click.option(
@@ -217,7 +220,7 @@ class Options:
 @RTCM
 @click.option(
     "--clock",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="With --fleet or --resume: follow the time in this file instead of the wall clock's. "
     "`swarm sitl --clock` writes it for vehicles that are simulated in another process.",
 )
@@ -228,10 +231,10 @@ class Options:
     type=click.Choice(get_args(Viewer)),
     help="Show the flight in Rerun: its own window, or `web` for a page on this machine.",
 )
-@click.option("--yes", is_flag=True, help="Do not ask for confirmation; errors still refuse.")
+@YES
 @click.option(
     "--record",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     help="Folder for the flight record. Default: a new folder in flights/.",
 )
 @click.option(
@@ -243,7 +246,7 @@ class Options:
 )
 @click.option(
     "--resume",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     metavar="RECORD",
     help="Take over the team of this record after its ground station failed in flight.",
 )
@@ -393,7 +396,7 @@ def _confirmation(
 
     def confirm(audit: Audit) -> bool:
         if not unasked:
-            console.print(findings_table([*warnings, *audit.findings]))
+            console.print(drawn(findings_table([*warnings, *audit.findings])))
             if not click.confirm("Arm and fly?", err=True):
                 return False
             screen.enter_context(shown.screen)

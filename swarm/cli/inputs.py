@@ -11,7 +11,15 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 from swarm.errors import InputError
 
@@ -58,6 +66,7 @@ class Address(click.ParamType[str]):
 
 
 FILE = click.Path(dir_okay=False, path_type=Path)
+FOLDER = click.Path(file_okay=False, path_type=Path)
 OUTPUT = Output(dir_okay=False, path_type=Path)
 MISSION = click.argument("mission", metavar="MISSION", shell_complete=missions)
 SET = click.option(
@@ -73,6 +82,9 @@ REPLAN = click.option(
 JOBS = click.option(
     "--jobs", type=click.IntRange(1, 1024), help="Parallel processes [one per core]."
 )
+SEED = click.option("--seed", default=1, show_default=True, help="Seed of all random values.")
+REPORT = click.option("--report", type=OUTPUT, help="Write a report (one HTML file).")
+YES = click.option("--yes", is_flag=True, help="Do not ask for confirmation; errors still refuse.")
 SCHEDULER = click.option(
     "--scheduler", metavar="tcp://HOST:PORT", help="Run on this Dask cluster instead."
 )
@@ -117,6 +129,18 @@ def progress_bar(console: Console, first: str = "planning") -> Iterator[Progress
         disable=not console.is_terminal,
     ) as bar:
         yield ProgressLine(bar, bar.add_task(first, total=1.0))
+
+
+@contextmanager
+def counting_bar(name: str, total: int | None = None) -> Iterator[Callable[..., None]]:
+    """Yield a function that shows how many are done, and of how many; silent without a terminal."""
+    console = Console(stderr=True)
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(bar_width=30), MofNCompleteColumn(),
+        TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal,
+    ) as bar:  # fmt: skip
+        task = bar.add_task(name, total=total)
+        yield lambda done, of=total: bar.update(task, completed=done, total=of)
 
 
 def print_json(value: Any) -> None:

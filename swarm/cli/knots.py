@@ -9,7 +9,7 @@ import click
 from rich.console import Console
 from rich.progress import track
 
-from swarm.cli.inputs import JSON, OUTPUT, SET, print_json
+from swarm.cli.inputs import FILE, JSON, OUTPUT, SET, print_json
 from swarm.errors import InputError, Interrupted, Problem
 from swarm.files import read_text
 from swarm.knots.catalog import lookup_knot, table_names
@@ -17,14 +17,15 @@ from swarm.knots.curve import CurveDefect, parse_curve
 from swarm.knots.gauss import KnotError
 from swarm.knots.invariants import identify_curve
 from swarm.mission.validation import LARGEST_FILE
-from swarm.reports.knots_json import identification_object, knot_object
-from swarm.reports.knots_text import (
+from swarm.reports.knots import (
+    identification_object,
+    knot_object,
     print_identification,
     print_knot,
     print_knots,
     print_table_check,
 )
-from swarm.reports.studies_text import print_plan_rows
+from swarm.reports.studies import print_plan_rows
 from swarm.studies import append_row, matching_knots, plan_rows, read_rows, rows_csv
 
 
@@ -167,9 +168,9 @@ def knots(
         context.exit(_check_table(as_json))
     choices = [lookup_knot(one) for one in ([name] if name else table_names())]
     if plot is not None:
-        from swarm.reports.grid_plot import plot_grid  # noqa: PLC0415 - slow to import
+        from swarm.reports.plots import knot_figure, save  # noqa: PLC0415 - slow to import
 
-        plot_grid(choices[0], plot)
+        save(knot_figure(choices[0]), plot)
     if as_json:
         objects = [knot_object(choice) for choice in choices]
         print_json(objects[0] if name else objects)
@@ -200,7 +201,7 @@ def _check_table(as_json: bool) -> int:
 
 
 @click.command()
-@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("file", type=FILE)
 @click.option("--closed", is_flag=True, help="Join the last point to the first.")
 @JSON
 def identify(file: Path, closed: bool, as_json: bool) -> None:

@@ -20,8 +20,9 @@ from itertools import zip_longest
 from types import FrameType
 
 import click
-from click.shell_completion import CompletionItem
+from click.shell_completion import BashComplete, CompletionItem, FishComplete, ZshComplete
 
+from swarm.child_modules import module_command
 from swarm.errors import InputError, Interrupted, SwarmError, nearest, reason
 from swarm.version import __version__
 
@@ -110,7 +111,7 @@ SECTIONS = {
         "verify": ("verify", "Verify a flight record."),
         "view": ("view", "Open a flight record, a plan or a recording in the Rerun viewer."),
         "export": ("export", "Write a flight or a plan for Foxglove, PlotJuggler and others."),
-        "sitl": ("sitl", "Run the emulator of vehicles, for any MAVLink client."),
+        "sitl": ("main", "Run the emulator of vehicles, for any MAVLink client."),
     },
     "Knots and files": {
         "init": ("files", "Write a commented mission file for a knot."),
@@ -118,7 +119,7 @@ SECTIONS = {
         "knots": ("knots", "List the knots, or show one."),
         "identify": ("knots", "Identify the knot of a curve in space."),
         "certify": ("certify", "Certify an external trajectory."),
-        "completion": ("completion", "Print the script that completes commands in a shell."),
+        "completion": ("main", "Print the script that completes commands in a shell."),
     },
 }
 """Section of ``swarm --help`` → command → module of swarm.cli that defines it, and its line."""
@@ -198,6 +199,37 @@ def cli() -> None:
 
     Example: swarm dry-run missions/overhand.yaml
     """
+
+
+VARIABLE = "_SWARM_COMPLETE"
+"""Click reads it: the program then prints completions instead of running a command."""
+
+_SHELLS = {"bash": BashComplete, "zsh": ZshComplete, "fish": FishComplete}
+
+
+@click.command()
+@click.argument("shell", type=click.Choice(list(_SHELLS)))
+@click.pass_context
+def completion(context: click.Context, shell: str) -> None:
+    """Print the script that completes commands, options, knots and files in SHELL.
+
+    Write it to the folder that your shell reads: for bash
+    ~/.local/share/bash-completion/completions/swarm, for fish
+    ~/.config/fish/completions/swarm.fish, for zsh a file _swarm in a folder of $fpath.
+
+    Example: swarm completion bash > ~/.local/share/bash-completion/completions/swarm
+    """
+    command = context.find_root().command
+    click.echo(_SHELLS[shell](command, {}, "swarm", VARIABLE).source())
+
+
+@click.command(
+    context_settings={"ignore_unknown_options": True, "help_option_names": []},
+)
+@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+def sitl(arguments: tuple[str, ...]) -> None:
+    """Run the emulator, a program of its own (`python -m sitl`), with ARGUMENTS."""
+    os.execv(sys.executable, module_command("sitl", *arguments))  # noqa: S606
 
 
 def main() -> None:

@@ -14,6 +14,7 @@ from swarm.cli.inputs import (
     MISSION,
     OUTPUT,
     REPLAN,
+    REPORT,
     SET,
     VERBOSE,
     print_json,
@@ -26,8 +27,8 @@ from swarm.front.files import is_plan_file, load_fleet
 from swarm.front.plan_files import certified_plan_file
 from swarm.mission import Mission
 from swarm.planning.estimates import require_fleet
-from swarm.reports.plan_summary import print_plan_summary
-from swarm.reports.studies_text import print_front
+from swarm.reports.plan import plan_report, print_plan_summary
+from swarm.reports.studies import print_front
 
 
 @click.command()
@@ -63,7 +64,7 @@ from swarm.reports.studies_text import print_front
     type=FILE,
     help="Fleet file: plan for its tracking error, as swarm check --hop measured it.",
 )
-@click.option("--report", type=OUTPUT, help="Write a report (one HTML file).")
+@REPORT
 @click.option(
     "--sheet",
     type=OUTPUT,
@@ -150,12 +151,10 @@ def _write_files(
     if export and (planned.assessment.cleared or export.suffix not in FLOWN):
         export_plan(planned, export)
     if plot:
-        from swarm.reports.plots import plot_plan  # noqa: PLC0415 - slow to import
+        from swarm.reports import plots  # noqa: PLC0415 - slow to import
 
-        plot_plan(planned.plan, plot)
+        plots.save(plots.plan_figure(planned.plan), plot)
     if report:
-        from swarm.reports.plan_report import plan_report  # noqa: PLC0415 - slow to import
-
         write_text(report, plan_report(planned.plan, planned.assessment))
     if sheet:
         from swarm.reports.layout_sheet import layout_sheet  # noqa: PLC0415 - slow to import
@@ -181,8 +180,8 @@ def _front(mission: Mission, as_json: bool, plot: Path | None) -> int:
     points = studies.mark_dominated([one for one in found if isinstance(one, studies.FrontPoint)])
     refused = [one for one in found if isinstance(one, str)]
     if plot and points:
-        from swarm.reports.pareto_plot import pareto_figure  # noqa: PLC0415 - slow to import
-        from swarm.reports.plots import save  # noqa: PLC0415
+        from swarm.reports.plots import save  # noqa: PLC0415 - slow to import
+        from swarm.reports.study_plots import pareto_figure  # noqa: PLC0415
 
         save(pareto_figure([asdict(point) for point in points]), plot)
     if as_json:

@@ -1,13 +1,15 @@
 """Planning with a progress line, shared by the commands that need a plan."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import wraps
+from typing import Any
 
 import click
 from rich.console import Console
 
 from swarm import planner, precompile
-from swarm.cli.inputs import progress_bar
+from swarm.cli.inputs import JSON, MISSION, REPLAN, SET, VERBOSE, progress_bar
 from swarm.errors import InputError, Problem, Refused
 from swarm.front import plan_cache
 from swarm.front.files import is_plan_file, load_mission
@@ -15,9 +17,8 @@ from swarm.front.plan_files import load_certified
 from swarm.mission import Mission
 from swarm.mission.fleet import Fleet, mission_for
 from swarm.planning.searched_foldings import may_search
-from swarm.reports.findings_text import print_verdict
-from swarm.reports.plan_summary import print_plan_summary
-from swarm.reports.verdicts import plan_verdict
+from swarm.reports.plan import plan_verdict, print_plan_summary
+from swarm.reports.result import print_verdict
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,43 @@ def load_source(
         return Source(mission if fleet is None else _for_fleet(mission, fleet), replan, flight)
     refuse_with_plan_file(name, {"--set": overrides, "--replan": replan})
     return Source(name, replan, flight)
+
+
+@dataclass(frozen=True)
+class Given:
+    """The mission of a command as it was given, and the options that go with every mission."""
+
+    mission: str
+    overrides: tuple[str, ...]
+    replan: bool
+    as_json: bool
+    verbose: bool = False
+
+    def source(self, *, flight: bool = False) -> Source:
+        """Return what is to be planned; raises as :func:`load_source`."""
+        return load_source(self.mission, self.overrides, replan=self.replan, flight=flight)
+
+    def require_cleared(self, context: click.Context, planned: planner.PlanningResult) -> None:
+        """Print the verdict of a plan as :func:`require_cleared`."""
+        require_cleared(context, planned, verbose=self.verbose, as_json=self.as_json)
+
+
+def with_mission(*, verbose: bool = True) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator: a command takes a mission with its options, as a :class:`Given`."""
+    shared = [MISSION, SET, REPLAN, JSON, *([VERBOSE] if verbose else [])]
+
+    def decorated(command: Callable[..., None]) -> Callable[..., None]:
+        @wraps(command)
+        def packed(*context: click.Context, **options: Any) -> None:
+            names = [name for name in Given.__dataclass_fields__ if name in options]
+            given = Given(**{name: options.pop(name) for name in names})
+            command(*context, given, **options)
+
+        for option in reversed(shared):
+            packed = option(packed)
+        return packed
+
+    return decorated
 
 
 def refuse_with_plan_file(name: str, options: Mapping[str, object]) -> None:

@@ -6,14 +6,13 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from swarm.cli.inputs import JSON, OUTPUT, print_json
+from swarm.cli.inputs import FILE, JSON, OUTPUT, print_json
 from swarm.errors import Refused
 from swarm.front.plans import load_plan
 from swarm.ground.record_reader import recorded_plan
 from swarm.ground.record_verification import parse_observation, verify_record
 from swarm.planning import digest
-from swarm.reports.flight_json import record_object
-from swarm.reports.record_text import print_record
+from swarm.reports.flight import print_record, record_object
 
 
 @click.command()
@@ -22,7 +21,7 @@ from swarm.reports.record_text import print_record
 @click.option(
     "--plan",
     "reviewed",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     metavar="FILE.plan",
     help="Refuse the record of another plan than this one.",
 )
@@ -66,13 +65,14 @@ def verify(
     if observation is not None:
         verified = verified.observed(observation)
     if plot:
-        from swarm.reports.plots import plot_flight  # noqa: PLC0415 - slow to import
+        from swarm.reports.plots import flight_figure, save  # noqa: PLC0415 - slow to import
 
-        plot_flight(verified.plan, verified.log.trace, plot)
+        save(flight_figure(verified.plan, verified.log.trace), plot)
+    document = record_object(verified)
     if as_json:
-        print_json(record_object(verified))
+        print_json(document)
     else:
-        print_record(verified, Console())
+        print_record(verified, document, Console())
     context.exit(0 if verified.passed else 1)
 
 

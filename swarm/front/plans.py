@@ -108,12 +108,11 @@ class Plan(planning.Plan):
 
         Raises :class:`ValueError` for another picture. Source: :mod:`swarm.reports.plots`.
         """
-        from swarm.reports.plots import plan_figure  # noqa: PLC0415 - slow to import
-        from swarm.reports.schedule_plots import schedule_figure  # noqa: PLC0415
+        from swarm.reports import plots  # noqa: PLC0415 - slow to import
 
         if picture not in {"knot", "schedule"}:
             raise ValueError(f"picture: expected knot or schedule, got {picture!r}")
-        return plan_figure(self) if picture == "knot" else schedule_figure(self)
+        return plots.plan_figure(self) if picture == "knot" else plots.schedule_figure(self)
 
     def view(self, path: str | os.PathLike[str] | None = None) -> Recording:
         """Write the plan as a Rerun recording and open it in Rerun's viewer, a separate process.

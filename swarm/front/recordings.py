@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from swarm.errors import InputError, Problem, reason
+from swarm.files import require_writable
 
 
 @dataclass(frozen=True, repr=False)
@@ -35,7 +35,7 @@ class Recording:
         from swarm.view.viewers import has_display, open_window  # noqa: PLC0415 - slow to import
 
         file = _temporary() if path is None else Path(path)
-        _require_writable(file)
+        require_writable(file)  # Rerun only logs that it cannot write
         write(file)
         shown = has_display()
         if shown:
@@ -56,11 +56,3 @@ def _temporary() -> Path:
     folder = Path(tempfile.mkdtemp(prefix="swarm-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder / "recording.rrd"
-
-
-def _require_writable(path: Path) -> None:
-    """Raise :class:`InputError` where a file cannot be written: Rerun only logs that."""
-    try:
-        path.open("ab").close()
-    except OSError as error:
-        raise InputError([Problem(str(path), reason(error))]) from None

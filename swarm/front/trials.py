@@ -120,9 +120,9 @@ class Trials(Sequence[Trial]):
     def plot(self) -> "Figure":
         """Return a matplotlib figure: distributions of distances, flown beside certified distances.
 
-        Source: :func:`swarm.reports.trial_plots.trials_figure`.
+        Source: :func:`swarm.reports.study_plots.trials_figure`.
         """
-        from swarm.reports.trial_plots import trial_distances, trials_figure  # noqa: PLC0415 - slow
+        from swarm.reports.study_plots import trial_distances, trials_figure  # noqa: PLC0415 - slow
 
         distances = trial_distances(self.plan, self.trials, self.certified)
         return trials_figure([distances], self.required)
@@ -178,17 +178,21 @@ def monte_carlo(
     ]
     if problems:
         raise InputError(problems)
-    spread = spread or Spread()
-    flown: list[Trial] = []
-    for trial in fly_trials(
-        flyable(plan, certificate), spread, seed=seed, trials=range(trials), faults=faults,
-        jobs=jobs, scheduler=scheduler,
-    ):  # fmt: skip
-        flown.append(trial)
-        if progress:
-            progress("trials", len(flown) / trials)
-    flown.sort(key=lambda trial: trial.number)
-    return Trials(plan, tuple(flown), seed, spread, jobs)
+    flown, ended = fly_series(
+        flyable(plan, certificate),
+        spread or Spread(),
+        trials=trials,
+        seed=seed,
+        faults=faults,
+        jobs=jobs,
+        scheduler=scheduler,
+        on_trial=lambda done: progress("trials", done / trials) if progress else None,
+    )
+    if isinstance(ended, Interrupted):
+        raise KeyboardInterrupt
+    if ended:
+        raise ended
+    return flown
 
 
 def load_scenario(path: str | os.PathLike[str] | None) -> tuple[Spread, tuple[Fault, ...]]:
@@ -206,38 +210,33 @@ def load_scenario(path: str | os.PathLike[str] | None) -> tuple[Spread, tuple[Fa
     return read_scenario(read_text(path, LARGEST_FILE), os.fspath(path))
 
 
-@dataclass(frozen=True)
-class TrialSeries:
-    """The number of trials and what determines them; ``open_loop`` trials never slow down."""
-
-    trials: int
-    seed: int
-    spread: Spread
-    faults: Sequence[Fault] = ()
-    open_loop: bool = False
-
-
 def fly_series(
     flight_plan: FlightPlan,
-    series: TrialSeries,
-    jobs: int | None,
-    scheduler: str | None,
-    on_trial: Callable[[], None],
+    spread: Spread,
+    *,
+    trials: int,
+    seed: int,
+    faults: Sequence[Fault] = (),
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    open_loop: bool = False,
+    on_trial: Callable[[int], None],
 ) -> tuple[Trials, SwarmError | None]:
     """Fly trials until an interrupt or error; return the completed trials, and what ended them.
 
-    ``on_trial`` is called after each trial.
+    ``open_loop`` trials never slow down. ``on_trial`` is called after each trial with the number of
+    those that are completed.
     """
     flown: list[Trial] = []
     ended: SwarmError | None = None
     flying = fly_trials(
-        flight_plan, series.spread, seed=series.seed, trials=range(series.trials),
-        faults=series.faults, jobs=jobs, scheduler=scheduler, open_loop=series.open_loop,
+        flight_plan, spread, seed=seed, trials=range(trials), faults=faults, jobs=jobs,
+        scheduler=scheduler, open_loop=open_loop,
     )  # fmt: skip
     try:
         for trial in flying:
             flown.append(trial)
-            on_trial()
+            on_trial(len(flown))
     except KeyboardInterrupt:
         flying.close()
         ended = Interrupted("stopped")
@@ -245,6 +244,4 @@ def fly_series(
         ended = error
     flown.sort(key=lambda trial: trial.number)
     # after an interrupt or error the certificates are computed in this process
-    processes_after = 1 if ended else jobs
-    done = Trials(flight_plan.plan, tuple(flown), series.seed, series.spread, processes_after)
-    return done, ended
+    return Trials(flight_plan.plan, tuple(flown), seed, spread, 1 if ended else jobs), ended

@@ -1,4 +1,4 @@
-"""Formats of numbers, times and events, the same in texts, pictures and pages."""
+"""Words, numbers, times and events: the same in texts, pictures and pages."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -7,9 +7,14 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.assessment import rounded_down
+from swarm.certification.assessment import Assessment, rounded_down
 from swarm.certification.findings import numbers
+from swarm.certification.kinds import FIGURES
 from swarm.flight.snapshot import Event
+from swarm.planning import Plan
+
+DISTANCES: Final = {**FIGURES, "emulated_cable": "cable to cable, emulated"}
+"""Distances of flights and of trials, in words."""
 
 ROUTINE_KINDS: Final = frozenset(
     {"discovered", "mode", "armed", "disarmed", "airborne", "landed", "done", "interval", "phase"}
@@ -68,15 +73,16 @@ def together(names: Sequence[str]) -> str:
     return f"{one}s {first} and {second}" if one == other else " and ".join(names)
 
 
-def metres(value: float) -> str:
+def metres(value: float | None) -> str:
     """Return a length in metres with two decimals; a dash where it is unknown."""
-    return f"{value:.2f} m" if math.isfinite(value) else "–"
+    return "–" if value is None or not math.isfinite(value) else f"{value:.2f} m"
 
 
-def certified_metres(value: float) -> str:
-    """Return a certified length, of which there is at least as much, as :func:`metres`: rounded
-    down."""
-    return metres(rounded_down(value, 2) if math.isfinite(value) else value)
+def certified(value: float | None, unit: str = "m") -> str:
+    """Return a certified value, rounded down: there is at least as much. A dash if unknown."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    return f"{rounded_down(value, 2):.2f} {unit}"
 
 
 def seconds(value: float) -> str:
@@ -106,11 +112,42 @@ def worst_vehicles(
     return sorted(int(i) for i in order[: rows - 1])
 
 
-def number(value: float | None, unknown: str = "–") -> str:
-    """Return a number with two decimals; ``unknown`` where there is none."""
-    return unknown if value is None else f"{value:.2f}"
+def number(value: float | None) -> str:
+    """Return a number with two decimals; a dash where there is none."""
+    return "–" if value is None else f"{value:.2f}"
 
 
-def number_with_unit(value: float | None, unit: str) -> str:
-    """Return a number with two decimals and its unit; a dash where there is none."""
-    return "–" if value is None else f"{value:.2f} {unit}"
+def came_to(kind: str, distance: float, required: float) -> str:
+    """Return a distance that is smaller than the required one, in words."""
+    return f"{DISTANCES[kind]} came to {distance:.2f} m, {required:.2f} m are required"
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number with its noun, in the plural where it is not one."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def capitalized(text: str) -> str:
+    """Return a text with its first letter in upper case; the others stay as they are."""
+    return text[:1].upper() + text[1:]
+
+
+def knot_in_words(name: str, chirality: str) -> str:
+    """Return a knot's name with its chirality."""
+    if not name:
+        return "no knot"
+    return name if chirality == "none" else f"{name}, {chirality}-handed"
+
+
+def plan_figures(plan: Plan, assessment: Assessment) -> list[tuple[str, object]]:
+    """Return the key figures of a plan with their names."""
+    robustness = assessment.robustness
+    return [
+        ("vehicles", plan.vehicles),
+        ("cable", metres(float(plan.layout.lengths.sum()))),
+        ("fold", seconds(plan.phase("fold").duration)),
+        ("from take-off to the ground", seconds(plan.flight_duration)),
+        ("tracking error certified for", metres(plan.mission.vehicles.tracking)),
+        ("largest tracking error e*", certified(robustness.tracking)),
+        ("largest steady wind w*", certified(robustness.wind, "m/s")),
+    ]

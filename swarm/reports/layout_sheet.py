@@ -11,7 +11,8 @@ from swarm.flight.parameters import plan_requirements, rules
 from swarm.mavlink.frames import AutopilotName
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
-from swarm.reports.rendering import render
+from swarm.reports.pages import render
+from swarm.reports.result import Table
 
 Floats = npt.NDArray[np.float64]
 Point = tuple[float, float]
@@ -82,11 +83,11 @@ def layout_sheet(plan: Plan, fleet: Fleet | None = None, systems: Sequence[int] 
         "layout_sheet.html.j2",
         mission=plan.mission,
         figures=[*figures, ("vehicles", plan.vehicles)],
-        vehicles=_vehicle_rows(plan, _labels(plan, fleet, systems), pads, grips),
+        vehicles=_vehicles_table(plan, _labels(plan, fleet, systems), pads, grips),
         line=_lay_line(grips) if cable else None,
         map=_map(pads, grips),
         parameters=None if fleet is None else _parameters(plan, fleet),
-        checklist=[(item, "☐") for item in _CHECKLIST],
+        checklist=Table(("check", "done"), [(item, "☐") for item in _CHECKLIST]),
     )
 
 
@@ -115,17 +116,19 @@ def _labels(plan: Plan, fleet: Fleet | None, systems: Sequence[int]) -> list[str
     ]
 
 
-def _vehicle_rows(
-    plan: Plan, labels: Sequence[str], pads: Floats, grips: Floats
-) -> list[tuple[object, ...]]:
+def _vehicles_table(plan: Plan, labels: Sequence[str], pads: Floats, grips: Floats) -> Table:
     """Return a row per vehicle: number, label, grip mark, pad, grip and next segment, metres."""
     none = ["–"] * plan.vehicles
     marks = [f"{mark:.2f} m" for mark in grip_marks(plan)] or none
     segments = [f"{length:.2f} m" for length in plan.layout.lengths]
     segments = [*segments, ""] if segments else none
-    return [
+    columns = (
+        "vehicle", "label", "grip mark from the cable's end", "pad x", "pad y", "grip x", "grip y",
+        "next segment",
+    )  # fmt: skip
+    rows = [
         (
-            k + 1,
+            str(k + 1),
             labels[k],
             marks[k],
             f"{pads[k, 0]:.2f}",
@@ -136,6 +139,7 @@ def _vehicle_rows(
         )
         for k in range(plan.vehicles)
     ]
+    return Table(columns, rows, numbers=(0, 2, 3, 4, 5, 6, 7))
 
 
 def _lay_line(grips: Floats) -> LayLine:
@@ -144,12 +148,18 @@ def _lay_line(grips: Floats) -> LayLine:
     return LayLine(start[:2], end[:2], float(np.linalg.norm(end - start)), float(bearing))
 
 
-def _parameters(plan: Plan, fleet: Fleet) -> list[tuple[str, list[tuple[str, str, str]]]]:
-    """Return each autopilot's name with the parameters that it needs: name, value, reason."""
+def _parameters(plan: Plan, fleet: Fleet) -> list[tuple[str, Table]]:
+    """Return each autopilot's name with the parameters that it needs."""
+    columns = ("parameter", "required", "reason")
     demands = plan_requirements(plan, fleet)
     listed = {vehicle.autopilot for vehicle in fleet.vehicles}
     return [
-        (name, [(rule.name, rule.words, rule.why) for rule in rules(autopilot, demands)])
+        (
+            name,
+            Table(
+                columns, [(rule.name, rule.words, rule.why) for rule in rules(autopilot, demands)]
+            ),
+        )
         for autopilot, name in _AUTOPILOTS.items()
         if autopilot in listed or "detect" in listed
     ]

@@ -22,7 +22,7 @@ from swarm.flight.trace import Trace
 from swarm.planning import Plan
 from swarm.planning.cable_shape import cable_shape, grip_interval, laid_grip_points
 from swarm.reports import scene
-from swarm.reports.formatting import certified_metres, metres, seconds, together
+from swarm.reports.formatting import certified, metres, seconds, together
 from swarm.reports.plots import along_colours
 
 Floats = npt.NDArray[np.float64]
@@ -147,8 +147,7 @@ def _planned_moments(assessment: Assessment) -> tuple[MarkedMoment, ...]:
     return tuple(
         MarkedMoment(
             one.time,
-            f"{certified_metres(one.distance)} certified, {_in_words(one.between)}, "
-            f"{seconds(one.time)}",
+            f"{certified(one.distance)} certified, {_in_words(one.between)}, {seconds(one.time)}",
             one.between,
         )
         for one in moments

@@ -1,9 +1,10 @@
-"""Figures of a plan and a flight: grid diagram, plan view, the folded cable in space, distances.
+"""Figures of a knot, a plan and a flight: diagrams, views, curves over time.
 
-``draw_…`` draws into axes, ``…_figure`` returns a whole figure, ``plot_…`` writes it as PNG.
+``draw_…`` draws into axes, ``…_figure`` returns a whole figure, ``…_pictures`` those of a page.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -15,14 +16,18 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import Bbox
 
+from swarm.certification.assessment import Assessment
 from swarm.certification.clearances import Moment
 from swarm.errors import InputError, Problem, reason
+from swarm.flight.swinging import SwingCurves, swing_curves
 from swarm.flight.trace import Trace
+from swarm.knots.catalog import KnotChoice
 from swarm.planning import KnotLayout, KnotSummary, Plan
 from swarm.reports import scene
-from swarm.reports.fold_labels import label_fold
-from swarm.reports.formatting import together
+from swarm.reports.formatting import counted, together
+from swarm.reports.result import Picture, picture
 
 Floats = npt.NDArray[np.float64]
 Axes = Any
@@ -55,55 +60,32 @@ GAP: Final = 0.16
 _ABOVE_PHASES: Final = 16.0
 """Points between axes and a title: the names of the phases, 7.5 points high, are between them."""
 
+_ASIDE: Final = 3.0
+"""Points between a label and its place: half of a dot, and a gap."""
 
-def plot_plan(plan: Plan, path: Path) -> None:
-    """Write one PNG with the grid diagram, the plan view and the folded cable in space."""
-    save(plan_figure(plan), path)
+_PADDING: Final = 1.0
+"""Points around a label that belong to it."""
 
+_SIDES: Final = ((1, 1), (-1, 1), (1, -1), (-1, -1))
+"""Sides of a place on which a label may be, the preferred one first: right and above."""
 
-def plan_figure(plan: Plan) -> Figure:
-    """Return the figure of :func:`plot_plan`; without a grid its first part is left out."""
-    with mpl.rc_context(STYLE):
-        grid = bool(plan.knot.grid_columns)
-        figure = Figure(figsize=(12.0 if grid else 8.5, 4.2), layout="constrained")
-        FigureCanvasAgg(figure)
-        shares = [1.0, 1.15, 1.35][not grid :]
-        cells = figure.add_gridspec(1, len(shares), width_ratios=shares)
-        if grid:
-            draw_grid(figure.add_subplot(cells[0, 0]), plan.knot, plan.layout)
-        draw_plan_view(figure.add_subplot(cells[0, -2]), plan.layout)
-        folded = figure.add_subplot(cells[0, -1], projection="3d")
-        draw_fold(folded, plan.layout)
-        figure.suptitle(_headline(plan))
-        label_fold(folded, plan.layout, INK)
-        return figure
+LABEL_GAP: Final = 0.055
+"""Least distance of two labels, as a share of the axis: the height of a digit in these figures."""
 
 
-def _headline(plan: Plan) -> str:
-    hand = f", {plan.knot.chirality}-handed" if plan.knot.chirality != "none" else ""
-    knot = f"knot {plan.knot.type}{hand}" if plan.knot.type else "no knot"
-    vehicles = f"{plan.vehicles} vehicle{'s' if plan.vehicles > 1 else ''}"
-    length = plan.layout.lengths.sum()
-    cable = f"{length:.1f} m of cable" if length else "no cable"
-    return f"{plan.mission.name}: {knot}, {vehicles}, {cable}"
+def new_figure(width: float, height: float) -> Figure:
+    """Return a figure of a size in inches, to be drawn within :data:`STYLE`."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
 
 
-def plot_flight(plan: Plan, trace: Trace, path: Path) -> None:
-    """Write a PNG of a flight: plan view, tracking errors and the mission clock."""
-    save(flight_figure(plan, trace), path)
-
-
-def flight_figure(plan: Plan, trace: Trace) -> Figure:
-    """Return the figure of :func:`plot_flight`."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(12.0, 5.2), layout="constrained")
-        FigureCanvasAgg(figure)
-        cells = figure.add_gridspec(2, 2, width_ratios=[1.0, 1.6])
-        draw_flown_view(figure.add_subplot(cells[:, 0]), plan, trace)
-        draw_errors(figure.add_subplot(cells[0, 1]), trace, plan.mission.vehicles.tracking)
-        draw_clock(figure.add_subplot(cells[1, 1]), trace)
-        figure.suptitle(f"{plan.mission.name}: flight")
-        return figure
+def new_axes(
+    size: tuple[float, float] = (4.6, 4.2), projection: str | None = None
+) -> tuple[Figure, Axes]:
+    """Return a figure of a size in inches with one pair of axes."""
+    figure = new_figure(*size)
+    return figure, figure.add_subplot(projection=projection)
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -117,30 +99,175 @@ def save(figure: Figure, path: Path) -> None:
         raise InputError([Problem(str(path), reason(error))]) from None
 
 
-def new_axes(
-    size: tuple[float, float] = (4.6, 4.2), projection: str | None = None
-) -> tuple[Figure, Axes]:
-    """Return a figure of a size in inches with one pair of axes."""
-    figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure, figure.add_subplot(projection=projection)
-
-
 def along_colours(count: int) -> Floats:
     """Return colours (count, 3) that run along the cable."""
     share = np.linspace(0.0, 1.0, count)[:, None]
     return (1 - share) * START + share * END
 
 
+@mpl.rc_context(STYLE)
+def plan_figure(plan: Plan) -> Figure:
+    """Return grid diagram, plan view and folded cable; without a grid its part is left out."""
+    grid = bool(plan.knot.grid_columns)
+    figure = new_figure(12.0 if grid else 8.5, 4.2)
+    shares = [1.0, 1.15, 1.35][not grid :]
+    cells = figure.add_gridspec(1, len(shares), width_ratios=shares)
+    if grid:
+        draw_grid(figure.add_subplot(cells[0, 0]), plan.knot, plan.layout)
+    draw_plan_view(figure.add_subplot(cells[0, -2]), plan.layout)
+    folded = figure.add_subplot(cells[0, -1], projection="3d")
+    draw_fold(folded, plan.layout)
+    figure.suptitle(_headline(plan))
+    label_fold(folded, plan.layout, INK)
+    return figure
+
+
+def _headline(plan: Plan) -> str:
+    hand = f", {plan.knot.chirality}-handed" if plan.knot.chirality != "none" else ""
+    knot = f"knot {plan.knot.type}{hand}" if plan.knot.type else "no knot"
+    length = plan.layout.lengths.sum()
+    cable = f"{length:.1f} m of cable" if length else "no cable"
+    return f"{plan.mission.name}: {knot}, {counted(plan.vehicles, 'vehicle')}, {cable}"
+
+
+@mpl.rc_context(STYLE)
+def flight_figure(plan: Plan, trace: Trace) -> Figure:
+    """Return plan view, tracking errors and the mission clock of a flight."""
+    figure = new_figure(12.0, 5.2)
+    cells = figure.add_gridspec(2, 2, width_ratios=[1.0, 1.6])
+    draw_flown_view(figure.add_subplot(cells[:, 0]), plan, trace)
+    draw_errors(figure.add_subplot(cells[0, 1]), trace, plan.mission.vehicles.tracking)
+    draw_clock(figure.add_subplot(cells[1, 1]), trace)
+    figure.suptitle(f"{plan.mission.name}: flight")
+    return figure
+
+
+@mpl.rc_context(STYLE)
+def schedule_figure(plan: Plan) -> Figure:
+    """Return every vehicle's place along the fold's path, and its height, over time."""
+    figure = new_figure(8.0, 5.2)
+    above, below = figure.subplots(2, 1, sharex=True)
+    draw_schedule(above, plan)
+    draw_heights(below, plan)
+    return figure
+
+
+@mpl.rc_context(STYLE)
+def knot_figure(choice: KnotChoice) -> Figure:
+    """Return a knot's grid diagram, and the cable with its vehicles in it."""
+    opened, size = choice.opening, choice.grid.size
+    side = max(3.2, 0.42 * size)
+    figure = new_figure(2 * side, side + 0.5)
+    left, right = figure.subplots(1, 2)
+    columns = np.array(opened.grid.columns) - 1
+    draw_diagram(left, columns)
+    left.set_title(f"grid diagram, {size} × {size}")
+    draw_diagram(right, columns, np.array(opened.corners) - 1)
+    right.set_title(f"opened: {choice.vehicles} vehicles, {len(opened.crossings)} crossings")
+    for axes in (left, right):
+        axes.set(xticks=range(size), yticks=range(size))
+        axes.set(xticklabels=range(1, size + 1), yticklabels=range(1, size + 1))
+        axes.tick_params(length=0, colors=INK)
+    hand = "" if choice.chirality == "none" else f", {choice.chirality}-handed"
+    figure.suptitle(f"knot {choice.title or choice.name}{hand}")
+    return figure
+
+
+@mpl.rc_context(STYLE)
+def plan_pictures(plan: Plan, assessment: Assessment) -> list[Picture]:
+    """Return the pictures of a plan's page."""
+    pictures = []
+    if plan.knot.grid_columns:
+        figure, axes = new_axes()
+        draw_grid(axes, plan.knot, plan.layout)
+        folded = grid_places(plan.knot, plan.layout) is not None
+        words = "numbered like the plan view" if folded else "which this layout does not follow"
+        pictures.append(picture(figure, f"Grid diagram of the knot, {words}"))
+    figure, axes = new_axes()
+    draw_plan_view(axes, plan.layout)
+    pictures.append(picture(figure, "The cable from above; under strands have gaps"))
+    figure, axes = new_axes((8.0, 3.8), projection="3d")
+    draw_fold(axes, plan.layout, zoom=1.35)
+    label_fold(axes, plan.layout, INK)
+    pictures.append(picture(figure, "The folded cable in space", wide=True))
+    if len(plan.layout.lengths) >= 3:
+        figure, axes = new_axes((8.0, 2.8))
+        times, distance = scene.planned_strand_distances(plan)
+        required = plan.mission.clearance.cable
+        title = "Smallest distance of strands that are not neighbours, planned"
+        moments = [moment for moment in assessment.moments if moment.check == "cable clearance"]
+        tightest = min(moments, key=lambda moment: moment.distance, default=None)
+        draw_clearance(axes, times, distance, required, title, tightest)
+        pictures.append(picture(figure, title, wide=True))
+    schedule = schedule_figure(plan)
+    pictures.append(picture(schedule, "Schedule and heights of the vehicles", wide=True))
+    return pictures
+
+
+@mpl.rc_context(STYLE)
+def flight_pictures(plan: Plan, trace: Trace) -> list[Picture]:
+    """Return the pictures of a flight's page."""
+    pictures = []
+    figure, axes = new_axes((8.0, 3.0))
+    draw_errors(axes, trace, plan.mission.vehicles.tracking)
+    pictures.append(picture(figure, "Tracking error of every vehicle", wide=True))
+    figure, axes = new_axes((8.0, 2.2))
+    draw_clock(axes, trace)
+    pictures.append(picture(figure, "Mission clock over time", wide=True))
+    swing = swing_curves(plan, trace)
+    if swing is not None:
+        figure, axes = new_axes((8.0, 2.8))
+        draw_swing(axes, swing)
+        title = "Swing of the cable: estimated, planned, and allowed by tube and budget"
+        pictures.append(picture(figure, title, wide=True))
+    held = np.flatnonzero(scene.fold_and_hold(trace))
+    sampled = held[:: scene.sampling_step(trace)]
+    if len(plan.layout.lengths) >= 3 and len(sampled):
+        figure, axes = new_axes((8.0, 2.8))
+        distance = scene.smallest_strand_distances(plan, trace.position[sampled])
+        required = plan.mission.clearance.cable
+        title = "Distance of strands that are not neighbours, as flown (sampled)"
+        draw_clearance(axes, trace.mission_time[sampled], distance, required, title)
+        pictures.append(picture(figure, title, wide=True))
+    figure, axes = new_axes()
+    draw_flown_view(axes, plan, trace)
+    pictures.append(
+        picture(figure, "The planned cable from above, with the last reported positions")
+    )
+    if len(held):
+        figure, axes = new_axes(projection="3d")
+        last = replace(plan.layout, corners=trace.position[held[-1]])
+        draw_fold(axes, last)
+        axes.set_title("Cable at the end of the hold, distances at crossings")
+        label_fold(axes, last, INK)
+        pictures.append(picture(figure, "The cable in space at the end of the hold"))
+    return pictures
+
+
 def draw_grid(axes: Axes, knot: KnotSummary, layout: KnotLayout | None = None) -> None:
-    """Draw a grid diagram: columns pass over rows.
+    """Draw the grid diagram of a plan's knot as :func:`draw_diagram`.
 
     Where the layout has a vehicle at each corner of the diagram but one, its corners are numbered
-    and coloured like the plan view, and the two edges without cable are dotted.
+    and coloured like the plan view.
     """
     columns = grid_columns(knot)
-    size = len(columns)
     places = None if layout is None else grid_places(knot, layout)
+    draw_diagram(axes, columns, places)
+    # A searched layout, and given corners, are not those of the diagram.
+    other = layout is not None and places is None
+    size = len(columns)
+    axes.set_title(f"Grid diagram {size}×{size}{', not folded' if other else ''}")
+
+
+def draw_diagram(
+    axes: Axes, columns: npt.NDArray[np.intp], places: npt.NDArray[np.intp] | None = None
+) -> None:
+    """Draw a grid diagram: columns, with rows (size, 2) of their ends, pass over rows.
+
+    With the ``places`` (n, 2) of the vehicles, from 0, these are numbered, edges are coloured along
+    the cable, and the two edges without cable are dotted.
+    """
+    size = len(columns)
     colour = _edge_colours(places)
     for row in range(size):
         left, right = np.flatnonzero((columns == row).any(axis=1))
@@ -162,9 +289,6 @@ def draw_grid(axes: Axes, knot: KnotSummary, layout: KnotLayout | None = None) -
         _label_vehicles(axes, places.astype(np.float64))
     axes.set(xlim=(-0.5, size - 0.5), ylim=(-0.5, size - 0.5), aspect="equal", xticks=[], yticks=[])
     axes.set_frame_on(False)
-    # A searched layout, and given corners, are not those of the diagram.
-    other = layout is not None and places is None
-    axes.set_title(f"Grid diagram {size}×{size}{', not folded' if other else ''}")
 
 
 def grid_columns(knot: KnotSummary) -> npt.NDArray[np.intp]:
@@ -196,9 +320,9 @@ def _edge_colours(
     if places is None:
         return lambda _axis, _number: {"colors": [INK]}
     segments = {}
-    for segment, (one, other) in enumerate(pairwise(places)):
-        axis = 0 if one[0] == other[0] else 1
-        segments[axis, int(one[axis])] = segment
+    for segment, (start, end) in enumerate(pairwise(places)):
+        axis = 0 if start[0] == end[0] else 1
+        segments[axis, int(start[axis])] = segment
     colours = along_colours(len(places) - 1)
 
     def style(axis: int, number: int) -> dict[str, Any]:
@@ -267,7 +391,7 @@ def _label_vehicles(axes: Axes, corners: Floats) -> None:
 def draw_fold(axes: Axes, layout: KnotLayout, zoom: float = 0.95) -> None:
     """Draw the folded cable in space, every segment a catenary, and its crossings, without labels.
 
-    :func:`swarm.reports.fold_labels.label_fold` adds them, when the figure is complete.
+    :func:`label_fold` adds them, when the figure is complete.
     ``zoom`` enlarges the box, for axes that are wider than high.
     """
     strips = scene.strands(layout.corners, layout.lengths, 40)
@@ -382,3 +506,193 @@ def _shade_phases(axes: Axes, trace: Trace) -> None:
                 (start + end) / 2, 1.01, names[begin], transform=axes.get_xaxis_transform(),
                 ha="center", va="bottom", fontsize=7.5, color="#667085",
             )  # fmt: skip
+
+
+def label_fold(axes: Axes, layout: KnotLayout, colour: str) -> None:
+    """Write numbers and distances beside a fold in space (:func:`draw_fold`).
+
+    To be called when nothing else of the figure changes: places are compared as they are printed. A
+    label is written where it covers no other label and no vehicle. A distance without such a place
+    is left out; smaller distances come first. Numbers are always written.
+    """
+    figure = axes.figure
+    figure.draw_without_rendering()
+    taken = [_around(_printed(axes, corner), axes) for corner in layout.corners]
+    for number, corner in enumerate(layout.corners, 1):
+        _write(axes, str(number), [corner], taken, {"color": colour, "zorder": 8})
+    box = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.85, "lw": 0}
+    style = {"color": colour, "zorder": 9, "bbox": box}
+    for crossing in sorted(scene.crossings(layout), key=lambda crossing: crossing.distance):
+        places = [crossing.upper, 0.5 * (crossing.upper + crossing.lower), crossing.lower]
+        _write(axes, f"{crossing.distance:.2f} m", places, taken, style, needed=False)
+
+
+def _write(
+    axes: Axes,
+    words: str,
+    places: Sequence[Floats],
+    taken: list[Bbox],
+    style: dict[str, Any],
+    *,
+    needed: bool = True,
+) -> None:
+    """Write a label beside the first of some places where it covers nothing ``taken``.
+
+    Where there is none, the first place is taken for a label that is ``needed``.
+    """
+    text = axes.annotate(
+        words,
+        (0.0, 0.0),
+        xytext=(0.0, 0.0),
+        textcoords="offset points",
+        fontsize=7,
+        annotation_clip=False,
+        **style,
+    )
+    text.set_in_layout(False)
+    extent = text.get_window_extent(axes.figure.canvas.get_renderer())
+    pixels = axes.figure.dpi / 72.0
+    size = np.array([extent.width, extent.height]) + 2.0 * _PADDING * pixels
+    aside = _ASIDE * pixels
+    found = None
+    for place in places:
+        for side in _SIDES:
+            middle = _printed(axes, place) + np.array(side) * (aside + 0.5 * size)
+            box = Bbox([middle - 0.5 * size, middle + 0.5 * size])
+            if found is None and not any(box.overlaps(other) for other in taken):
+                found = place, side, box
+    if found is None and not needed:
+        text.remove()
+        return
+    place, side = found[:2] if found else (places[0], _SIDES[0])
+    text.xy = _projected(axes, place)
+    text.set_position((_ASIDE * side[0], _ASIDE * side[1]))
+    text.set(ha="left" if side[0] > 0 else "right", va="bottom" if side[1] > 0 else "top")
+    if found:
+        taken.append(found[2])
+
+
+def _printed(axes: Axes, place: Floats) -> Floats:
+    """Return where a place (3,) is printed (2,), in pixels."""
+    printed: Floats = axes.transData.transform(_projected(axes, place))
+    return printed
+
+
+def _projected(axes: Axes, place: Floats) -> Floats:
+    """Return a place (3,) in the coordinates of the axes' plane (2,)."""
+    x, y, _, scale = axes.get_proj() @ np.append(place, 1.0)
+    projected: Floats = np.array([x, y]) / scale
+    return projected
+
+
+def _around(middle: Floats, axes: Axes) -> Bbox:
+    """Return the box of a dot with a middle (2,) in pixels."""
+    half = 0.5 * _ASIDE * axes.figure.dpi / 72.0
+    return Bbox([middle - half, middle + half])
+
+
+def draw_schedule(axes: Axes, plan: Plan) -> None:
+    """Draw each vehicle's place along the common path during the fold."""
+    fold = plan.phase("fold")
+    times = np.linspace(fold.start, fold.end, 400)
+    places = places_along_path(plan, times)
+    corners = places[-1]
+    step = LABEL_GAP * float(np.ptp(places))
+    labels = spread_labels(corners, step)
+    for i, colour in enumerate(along_colours(plan.vehicles)):
+        axes.axhline(corners[i], color=FAINT, linewidth=0.6, zorder=0)
+        axes.plot(times, places[:, i], color=colour, linewidth=1.4)
+        axes.text(times[-1], labels[i], f" {i + 1}", fontsize=7.5, va="center", color=colour)
+    axes.set(ylabel="along the path, m", title="Schedule: each vehicle stops at its own corner")
+
+
+def places_along_path(plan: Plan, times: Floats) -> Floats:
+    """Return each vehicle's arc length (k, n) on the fold's path at mission times (k,), metres.
+
+    It is the arc length of the vehicle's corner minus its remaining distance, and negative before
+    the start of the path.
+    """
+    position = plan.motion.at(times)[0]
+    step = np.linalg.norm(np.diff(position, axis=0), axis=-1)
+    remaining = np.vstack([step[::-1].cumsum(axis=0)[::-1], np.zeros(plan.vehicles)])
+    arc = np.append(0.0, np.linalg.norm(np.diff(plan.path, axis=0), axis=1).cumsum())
+    apart = np.linalg.norm(plan.path[:, None] - plan.layout.corners, axis=-1)
+    places: Floats = arc[apart.argmin(axis=0)] - remaining
+    return places
+
+
+def draw_heights(axes: Axes, plan: Plan) -> None:
+    """Draw the heights of the grip points during the fold."""
+    fold = plan.phase("fold")
+    times = np.linspace(fold.start, fold.end, 400)
+    height = plan.motion.at(times)[0][:, :, 2]
+    shown = places_of_labels(times, height)
+    for i, colour in enumerate(along_colours(plan.vehicles)):
+        axes.plot(times, height[:, i], color=colour, linewidth=1.4)
+        k = shown[i]
+        axes.text(
+            times[k], height[k, i], str(i + 1), fontsize=7.5, color=colour, weight="bold",
+            ha="center", va="center", zorder=5,
+            bbox={"boxstyle": "circle,pad=0.15", "facecolor": "white", "linewidth": 0},
+        )  # fmt: skip
+    axes.set(xlabel="mission time, s", ylabel="height, m", title="Heights of the grip points")
+
+
+def spread_labels(values: Floats, gap: float) -> Floats:
+    """Return places (n,) for labels at values (n,), at least ``gap`` apart, in the same order."""
+    order = np.argsort(values, kind="stable")
+    places = values[order].astype(np.float64)
+    places = np.maximum.accumulate(places - gap * np.arange(len(places)))
+    spread = np.empty_like(places)
+    spread[order] = places + gap * np.arange(len(places))
+    return spread
+
+
+def places_of_labels(times: Floats, curves: Floats) -> list[int]:
+    """Return for each curve (k, n) the index at which its label is farthest from all others.
+
+    Distances to other curves and to earlier labels are in shares of the axes.
+    """
+    x = (times - times[0]) / max(float(np.ptp(times)), 1e-9)
+    y = (curves - curves.min()) / max(float(np.ptp(curves)), 1e-9)
+    chosen: list[int] = []
+    for i in range(curves.shape[1]):
+        apart = np.delete(np.abs(y - y[:, [i]]), i, axis=1).min(axis=1, initial=1.0)
+        for other, k in enumerate(chosen):
+            apart = np.minimum(apart, np.hypot(x - x[k], y[:, i] - y[k, other]))
+        inside = (x > 0.02) & (x < 0.98)
+        chosen.append(int(np.argmax(np.where(inside, apart, -1.0))))
+    return chosen
+
+
+def draw_swing(axes: Axes, swing: SwingCurves) -> None:
+    """Draw the largest stray of all strands over mission time, metres.
+
+    What was estimated in the flight, what is planned, the radius of the tube, and what tube and
+    budget allow together. Where the clock waits or runs backwards, the estimate stays or returns.
+    """
+    order = swing.time.argsort(kind="stable")
+    time, allowed, tube = (
+        of[order] for of in (swing.time, swing.allowed.max(axis=1), swing.tube.max(axis=1))
+    )
+    axes.fill_between(
+        time, tube, allowed, color=END, alpha=0.08, linewidth=0.0,
+        label="excited by tracking errors (budget)",
+    )  # fmt: skip
+    axes.fill_between(
+        time, tube, color=END, alpha=0.2, linewidth=0.0,
+        label="tube of the plan, with stops and rewinds",
+    )  # fmt: skip
+    planned = swing.planned.max(axis=1)[order]
+    axes.plot(time, planned, color=END, linewidth=1.2, label="planned")
+    axes.plot(swing.time, swing.estimated.max(axis=1), color=INK, linewidth=1.0, label="estimated")
+    beyond = (swing.estimated > swing.allowed).any(axis=1)
+    if beyond.any():
+        axes.plot(
+            swing.time[beyond], swing.estimated.max(axis=1)[beyond], ".", color=ALARM,
+            markersize=3, label="a strand beyond what it is allowed",
+        )  # fmt: skip
+    axes.set(xlabel="mission time, s", ylabel="largest stray, m")
+    axes.set_title("Swing of the cable")
+    axes.set_ylim(0.0, 1.45 * float(allowed.max()))
+    axes.legend(fontsize=7.5, frameon=False, loc="upper left", ncols=2)

@@ -23,6 +23,8 @@ Colours = npt.NDArray[np.uint8]
 
 POINTS_PER_SEGMENT: Final = 25
 
+SAMPLE_INTERVAL: Final = 0.5
+"""Seconds between two sampled distances of strands; the certificate bounds them at every moment."""
 
 SILENT_AFTER: Final = 2.0
 """Seconds without a packet after which a vehicle is drawn as silent."""
@@ -244,3 +246,39 @@ def crossing_shares(corners: Floats, first: int, second: int) -> tuple[float, fl
     u, w = corners[first + 1] - a, corners[second + 1] - b
     share = np.linalg.solve(np.column_stack([u, -w]), b - a)
     return float(share[0]), float(share[1])
+
+
+def planned_strand_distances(plan: Plan, step: float = SAMPLE_INTERVAL) -> tuple[Floats, Floats]:
+    """Return times (k,) and the smallest surface distance (k,) of strands aloft, metres.
+
+    The motion is the planned one without tracking errors.
+    """
+    aloft = [phase for phase in plan.phases if phase.cable == "aloft"]
+    start, end = aloft[0].start, aloft[-1].end
+    times = np.linspace(start, end, max(2, round((end - start) / step) + 1))
+    return times, smallest_strand_distances(plan, plan.motion.at(times)[0])
+
+
+def smallest_strand_distances(plan: Plan, grips: Floats) -> Floats:
+    """Return the smallest surface distance (k,) of strands between grip points (k, n, 3), metres.
+
+    Neighbouring segments meet at a grip point and are left out.
+    """
+    shapes = strands(grips, plan.layout.lengths, POINTS_PER_SEGMENT)
+    first, second = np.triu_indices(plan.vehicles - 1, 2)
+    closest = strand_strand(shapes, np.column_stack([first, second])).distance.min(axis=1)
+    surface: Floats = closest - plan.mission.cable.diameter
+    return surface
+
+
+def sampling_step(trace: Trace) -> int:
+    """Return the number of instants of the trace between two points of the sampled curves."""
+    if len(trace.time) < 2:
+        return 1
+    return max(1, round(SAMPLE_INTERVAL / float(np.median(np.diff(trace.time)))))
+
+
+def fold_and_hold(trace: Trace) -> npt.NDArray[np.bool_]:
+    """Return at which instants (k,) of fold and hold every vehicle's position is reported."""
+    aloft = np.isin(np.array(trace.phase, dtype=str), ["fold", "hold"])
+    return aloft & np.isfinite(trace.position).all(axis=(1, 2))

@@ -17,11 +17,6 @@ from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.planning import Plan
 from swarm.planning.cable_shape import planned_grip
 from swarm.reports import scene
-from swarm.reports.strand_distances import (
-    planned_strand_distances,
-    sampling_step,
-    smallest_strand_distances,
-)
 from swarm.view.blueprint import comparison_blueprint, plan_blueprint
 from swarm.view.rerun_scene import (
     GHOST_COLOUR,
@@ -129,7 +124,7 @@ def send_plan_curves(stream: rr.RecordingStream, plan: Plan) -> None:
     _limit(stream, "plan/tautness/limit", MAX_CHORD_RATIO, "taut", clock)
     if len(segments) < 3:
         return
-    sampled, distance = planned_strand_distances(plan)
+    sampled, distance = scene.planned_strand_distances(plan)
     clock = {"mission_time": sampled}
     _curves(stream, "plan/clearance", ["strands that are not neighbours"], clock, distance[:, None])
     _limit(stream, "plan/clearance/limit", plan.mission.clearance.cable, "required", clock)
@@ -149,11 +144,9 @@ def send_distances(stream: rr.RecordingStream, plan: Plan, trace: Trace) -> None
     if len(plan.layout.lengths) < 3:
         return
     names = ("planned", "flown")
-    sampled, planned = planned_strand_distances(plan)
-    aloft = np.isin(np.array(trace.phase, dtype=str), ["fold", "hold"])
-    aloft &= np.isfinite(trace.position).all(axis=(1, 2))
-    where = np.flatnonzero(aloft)[:: sampling_step(trace)]
-    flown = smallest_strand_distances(plan, trace.position[where])
+    sampled, planned = scene.planned_strand_distances(plan)
+    where = np.flatnonzero(scene.fold_and_hold(trace))[:: scene.sampling_step(trace)]
+    flown = scene.smallest_strand_distances(plan, trace.position[where])
     for name, times, values in zip(
         names, (sampled, trace.mission_time[where]), (planned, flown), strict=True
     ):

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import IO, Final, Literal, cast
 
 from swarm.child_modules import module_command
-from swarm.errors import InputError, Problem, reason
+from swarm.files import require_writable
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.priority import lower_priority
 from swarm.planning import Plan
@@ -83,7 +83,7 @@ def start(plan: Plan, path: Path | None, live: Live | None) -> Viewer:
     feeds: list[Feed] = []
     message = None
     if path is not None:
-        _require_writable(path)
+        require_writable(path)
         feeds.append(Feed(plan, SinkOptions(path=str(path))))
     if live == "native" and not has_display():
         later = f"; open {path} later with: swarm view {path}" if path else ""
@@ -98,13 +98,6 @@ def start(plan: Plan, path: Path | None, live: Live | None) -> Viewer:
             else f"live view is opening; another one: rerun --connect {proxy_url(port)}"
         )
     return Viewer(feeds, message)
-
-
-def _require_writable(path: Path) -> None:
-    try:
-        path.open("wb").close()
-    except OSError as error:
-        raise InputError([Problem(str(path), reason(error))]) from None
 
 
 class Feed:

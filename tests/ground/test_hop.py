@@ -13,7 +13,7 @@ from swarm.flight.bench_flight import HOVER, hop
 from swarm.ground.fly import FlightCallbacks
 from swarm.ground.hop import fly_hop
 from swarm.mission.fleet import emulated_fleet, parse_fleet
-from swarm.reports.check_json import hop_object
+from swarm.reports.check import hop_object
 from swarm.reports.terminal import FlightScreen
 from tests.network import small_plan
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from swarm.reports.animation import FRAMES_PER_SECOND, animate_plan
+from missions.gallery import FRAMES_PER_SECOND, animate_plan
 from tests.network import small_plan
 
 

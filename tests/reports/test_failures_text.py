@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from swarm.reports.failures_text import print_failures
+from swarm.reports.failures import print_failures
 
 
 def failure_test(case: str, autopilots: str, **changed: Any) -> dict[str, Any]:

@@ -7,10 +7,10 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+from missions.gallery import shaping_figure
 from swarm.certification.clearances import Moment
 from swarm.errors import InputError, Refused
-from swarm.reports import pareto_plot, plots, schedule_plots
-from swarm.reports.flight_report import plot_shaping
+from swarm.reports import plots, study_plots
 from tests.reports.synthetic import CROSSINGS, trefoil_plan
 
 PLAN = trefoil_plan()
@@ -33,7 +33,7 @@ def ink_at(figure: Figure, axes: plots.Axes, x: float, y: float) -> bool:
 
 def test_plan_picture_is_written(tmp_path: Path) -> None:
     path = tmp_path / "plan.png"
-    plots.plot_plan(PLAN, path)
+    plots.save(plots.plan_figure(PLAN), path)
     picture = imread(path)
     assert picture.shape[1] > 1200
     assert picture[..., :3].std() > 0.05
@@ -93,7 +93,7 @@ def test_a_grid_diagram_of_another_layout_has_no_numbers() -> None:
 
 def test_labels_are_spread_and_keep_their_order() -> None:
     values = np.array([0.0, 0.1, 5.0, 0.05, 9.0])
-    places = schedule_plots.spread_labels(values, 1.0)
+    places = plots.spread_labels(values, 1.0)
     assert np.diff(np.sort(places)).min() >= 1.0 - 1e-12
     assert (np.argsort(places) == np.argsort(values)).all()
     assert places[0] == 0.0
@@ -103,7 +103,7 @@ def test_labels_are_spread_and_keep_their_order() -> None:
 def test_a_label_of_a_curve_is_far_from_other_curves() -> None:
     times = np.linspace(0.0, 10.0, 101)
     curves = np.stack([np.sin(times), np.zeros(101), 1.2 * np.cos(times)], axis=1)
-    labels = schedule_plots.places_of_labels(times, curves)
+    labels = plots.places_of_labels(times, curves)
     for curve, k in enumerate(labels):
         assert np.abs(np.delete(curves[k], curve) - curves[k, curve]).min() > 0.5
     assert len(set(labels)) == 3
@@ -138,7 +138,7 @@ def test_a_plan_without_a_grid_is_drawn_without_one() -> None:
 def test_places_along_the_path_end_at_the_corners() -> None:
     fold = PLAN.phase("fold")
     times = np.linspace(fold.start, fold.end, 50)
-    places = schedule_plots.places_along_path(PLAN, times)
+    places = plots.places_along_path(PLAN, times)
     arc = np.append(0.0, np.linalg.norm(np.diff(PLAN.path, axis=0), axis=1).cumsum())
     assert places[-1, 0] == pytest.approx(0.0, abs=1e-9)
     assert places[-1, -1] == pytest.approx(arc[-1], abs=1e-9)
@@ -147,16 +147,16 @@ def test_places_along_the_path_end_at_the_corners() -> None:
 
 
 def test_schedule_picture_is_written(tmp_path: Path) -> None:
-    schedule_plots.plot_schedule(PLAN, tmp_path / "schedule.png")
+    plots.save(plots.schedule_figure(PLAN), tmp_path / "schedule.png")
     assert imread(tmp_path / "schedule.png").shape[1] > 800
 
 
 def test_the_swing_of_two_timings_is_drawn(tmp_path: Path) -> None:
-    plot_shaping(PLAN, PLAN, tmp_path / "swing.png")
+    plots.save(shaping_figure(PLAN, PLAN), tmp_path / "swing.png")
     assert imread(tmp_path / "swing.png").shape[1] > 800
     grounded = tuple(phase for phase in PLAN.phases if phase.name != "fold")
     with pytest.raises(Refused, match="the plan folds no cable"):
-        plot_shaping(PLAN, replace(PLAN, phases=grounded), tmp_path / "none.png")
+        shaping_figure(PLAN, replace(PLAN, phases=grounded))
 
 
 @pytest.mark.parametrize("vehicles", [1, 2, 3])
@@ -187,7 +187,7 @@ def test_the_pareto_figure_shows_every_plan_with_its_tracking_error() -> None:
             tracking, (True, False, False), strict=True,
         )
     ]  # fmt: skip
-    figure = pareto_plot.pareto_figure(points)
+    figure = study_plots.pareto_figure(points)
     axes = figure.axes[0]
     assert [text.get_text() for text in axes.texts] == ["1", "2", "3"]
     legend = axes.get_legend()
@@ -209,7 +209,7 @@ def test_plans_with_several_numbers_of_vehicles_are_drawn_over_these() -> None:
          "fold_time": fold, "max_tracking_error": 0.1, "payload": payload, "dominated": False}
         for vehicles, cable, fold, payload in ((5, 34.0, 46.0, 0.25), (9, 33.0, 52.0, 0.125))
     ]  # fmt: skip
-    by_vehicles = pareto_plot.pareto_figure(points).axes[1:]
+    by_vehicles = study_plots.pareto_figure(points).axes[1:]
     assert [axes.get_ylabel() for axes in by_vehicles] == [
         "cable, m",
         "fold, s",
@@ -222,4 +222,4 @@ def test_plans_with_several_numbers_of_vehicles_are_drawn_over_these() -> None:
 
 def test_a_picture_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
-        plots.plot_plan(PLAN, tmp_path / "none" / "plan.png")
+        plots.save(plots.plan_figure(PLAN), tmp_path / "none" / "plan.png")

@@ -18,13 +18,12 @@ from swarm.certification.clearances import Moment
 from swarm.certification.findings import Finding
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
-from swarm.reports.failures_report import failures_report
-from swarm.reports.flight_report import flight_report
-from swarm.reports.plan_report import plan_report
-from swarm.reports.rendering import render
-from swarm.reports.rope_report import rope_report
-from swarm.reports.trials_report import trials_report
-from swarm.simulation.fault_injection import SYSTEM_FAILURE_CASES
+from swarm.reports.failures import failures_report
+from swarm.reports.flight import flight_report
+from swarm.reports.pages import render
+from swarm.reports.plan import plan_report
+from swarm.reports.rope import rope_report
+from swarm.reports.trials import trials_report
 from tests.reports.synthetic import events, trefoil_plan
 from tests.reports.test_terminal import assessment
 
@@ -270,7 +269,7 @@ def test_the_report_of_an_invalid_rope_is_not_green() -> None:
 
 def test_a_template_without_one_of_its_values_is_refused() -> None:
     with pytest.raises(UndefinedError, match="'mission' is undefined"):
-        render("rope.html.j2")
+        render("layout_sheet.html.j2")
 
 
 def made_failures_report() -> str:
@@ -281,7 +280,7 @@ def made_failures_report() -> str:
         "passed": True, "problems": [], "explanation": "one long strand from then on",
     }  # fmt: skip
     failed = {**document, "autopilots": "mixed", "passed": False, "problems": ["at 60.0 s: <late>"]}
-    return failures_report(PLAN, [document, failed], SYSTEM_FAILURE_CASES)
+    return failures_report(PLAN, [document, failed])
 
 
 def test_the_page_of_failure_tests_shows_every_case_and_the_tests_of_system_cases() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from swarm.reports.rope_text import print_rope
+from swarm.reports.rope import print_rope
 from tests.reports.synthetic import trefoil_plan
 
 PLAN = trefoil_plan()

@@ -14,7 +14,7 @@ from swarm.flight.responding import REQUESTS
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.planning import Plan
 from swarm.reports.formatting import clock, log_level, metres, seconds, worst_vehicles
-from swarm.reports.plan_summary import print_plan_summary
+from swarm.reports.plan import print_plan_summary
 from swarm.reports.terminal import (
     FlightScreen,
     clock_line,

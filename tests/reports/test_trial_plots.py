@@ -2,13 +2,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from swarm.reports import rope_plots, trial_plots
+from swarm.reports import study_plots
 from tests.reports.test_plots import ink_at
 
 
-def run(label: str, cable: list[float], failing: list[bool]) -> trial_plots.TrialDistances:
+def run(label: str, cable: list[float], failing: list[bool]) -> study_plots.TrialDistances:
     values = np.array(cable)
-    return trial_plots.TrialDistances(
+    return study_plots.TrialDistances(
         label=label,
         by_kind={
             "cable": values,
@@ -29,7 +29,7 @@ def test_distributions_of_both_trajectories_have_no_trials_with_a_failure() -> N
     ours = run("this plan", [0.6, 0.7, np.nan, 0.1], [False, False, False, True])
     paper = run("the paper's trajectory", [0.01, 0.02, 0.03, 0.04], [False] * 4)
     required = {"cable": 0.15, "vehicle": 1.0, "vehicle_cable": 0.3}
-    figure = trial_plots.trials_figure([ours, paper], required)
+    figure = study_plots.trials_figure([ours, paper], required)
     above = figure.axes[0]
     steps = [
         line for line in above.lines if len(line.get_xdata()) > 1 and line.get_linestyle() == "-"
@@ -50,7 +50,7 @@ def test_a_distance_that_no_trial_has_has_no_picture() -> None:
     two = run("this plan", [np.nan, np.nan], [False, False])
     two = replace(two, by_kind={**two.by_kind, "vehicle": np.array([2.7, 2.8])})
     required = {"cable": 0.15, "vehicle": 1.0, "vehicle_cable": 0.3}
-    figure = trial_plots.trials_figure([two], required)
+    figure = study_plots.trials_figure([two], required)
     assert [axes.get_title() for axes in figure.axes] == [
         "Vehicle to vehicle",
         "Flown and certified",
@@ -63,11 +63,11 @@ def test_the_upper_strand_of_a_rope_covers_the_lower() -> None:
     back = np.array([[1.5, 1.5, 0.5]])
     second = np.column_stack([0 * along, -along, 0 * along + 1.0])
     shape = np.concatenate([first, back, second])
-    moved = rope_plots.RopeCurves(
+    moved = study_plots.RopeCurves(
         "this plan", "0_1", np.arange(3.0), np.array([0.0, 0.1, 0.2]), np.full(3, 0.1), np.ones(3),
         np.ones(3), shape,
     )  # fmt: skip
-    figure = rope_plots.rope_figure([moved], 0.15)
+    figure = study_plots.rope_figure([moved], 0.15)
     above = figure.axes[2]
     assert ink_at(figure, above, 0.0, 0.3)
     assert ink_at(figure, above, 0.5, 0.0)

@@ -7,13 +7,10 @@ import pytest
 from swarm.certification.assessment import budget_findings
 from swarm.certification.budget import Budget
 from swarm.certification.findings import Finding
-from swarm.reports.verdicts import (
-    failures_verdict,
-    findings_verdict,
-    flight_verdict,
-    plan_verdict,
-    trials_verdict,
-)
+from swarm.reports.failures import failures_verdict
+from swarm.reports.flight import flight_verdict
+from swarm.reports.plan import findings_verdict, plan_verdict
+from swarm.reports.trials import trials_verdict
 from tests.reports.synthetic import trefoil_plan
 from tests.reports.test_report import outcome, share
 from tests.reports.test_terminal import assessment

@@ -6,7 +6,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 from swarm.flight.trace import Trace
-from swarm.reports.strand_distances import planned_strand_distances
+from swarm.reports.scene import planned_strand_distances
 from swarm.view import replay
 from swarm.view.replay import mission_times, planned_motion
 from tests.reports.synthetic import events, trefoil_plan

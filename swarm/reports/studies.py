@@ -5,9 +5,11 @@ from statistics import fmean
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 
 from swarm.certification.assessment import rounded_down
+from swarm.reports.result import Cell, Table, drawn
+
+Document = Mapping[str, Any]
 
 _SHOWN_COLUMNS = (
     ("knot", "", "knot"),
@@ -30,17 +32,14 @@ _HELD = frozenset({"max_tracking_error", "max_wind"})
 """Columns of values up to which a plan is certified."""
 
 
-def print_plan_rows(rows: Sequence[Mapping[str, Any]], console: Console) -> None:
+def print_plan_rows(rows: Sequence[Document], console: Console) -> None:
     """Print the table of planned knots, and the reasons of those that were refused.
 
     ``rows`` have the keys of :data:`swarm.studies.COLUMNS`.
     """
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    for _, form, heading in _SHOWN_COLUMNS:
-        table.add_column(heading, justify="right" if form else "left")
-    for row in rows:
-        table.add_row(*(_cell(name, row[name], form) for name, form, _ in _SHOWN_COLUMNS))
-    console.print(table)
+    cells = [[_cell(name, row[name], form) for name, form, _ in _SHOWN_COLUMNS] for row in rows]
+    numbers = [k for k, (_, form, _) in enumerate(_SHOWN_COLUMNS) if form]
+    console.print(drawn(Table([heading for *_, heading in _SHOWN_COLUMNS], cells, numbers)))
     refused = [row for row in rows if not row["cleared"]]
     for row in refused:
         console.print(f"[bold]{row['knot']}[/]: {row['message']}", highlight=False)
@@ -57,20 +56,13 @@ def print_plan_rows(rows: Sequence[Mapping[str, Any]], console: Console) -> None
     )
 
 
-def print_front(
-    points: Sequence[Mapping[str, Any]], refused: Sequence[str], console: Console
-) -> None:
+def print_front(points: Sequence[Document], refused: Sequence[str], console: Console) -> None:
     """Print a Pareto front, the shortest cable first, and the refused variants.
 
     ``points`` have the fields of :class:`swarm.studies.FrontPoint`.
     """
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    table.add_column("variant")
-    for name in ("vehicles", "cell", "cable", "fold", "e*", "payload"):
-        table.add_column(name, justify="right")
-    table.add_column("")
-    for point in sorted(points, key=lambda point: float(point["cable_length"])):
-        table.add_row(
+    rows = [
+        (
             point["variant"],
             str(point["vehicles"]),
             f"{point['cell']:.2f} m" if point["cell"] else "–",
@@ -78,16 +70,19 @@ def print_front(
             f"{point['fold_time']:.0f} s",
             f"{rounded_down(point['max_tracking_error'], 3):.3f} m",
             f"{1e3 * point['payload']:.0f} g",
-            "[dim]dominated[/]" if point["dominated"] else "",
+            Cell("dominated", "dim") if point["dominated"] else "",
         )
-    console.print(table)
+        for point in sorted(points, key=lambda point: float(point["cable_length"]))
+    ]
+    columns = ("variant", "vehicles", "cell", "cable", "fold", "e*", "payload", "")
+    console.print(drawn(Table(columns, rows, numbers=range(1, 7))))
     for variant in refused:
         console.print(f"refused: {variant}", style="yellow", highlight=False)
 
 
-def _cell(name: str, value: Any, form: str) -> str:
+def _cell(name: str, value: Any, form: str) -> str | Cell:
     if name == "cleared":
-        return "[green]cleared[/]" if value else "[bold red]refused[/]"
+        return Cell("cleared", "good") if value else Cell("refused", "bad")
     if name in _HELD and value is not None:
         value = rounded_down(value, int(form[1]))
     return "–" if value is None else format(value, form)

@@ -1,7 +1,7 @@
-"""Knots, identified curves and opened grid diagrams on the terminal."""
+"""Knots, identified curves and opened grid diagrams: JSON and terminal."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Console
 from rich.table import Table
@@ -25,6 +25,31 @@ _BENDS: Final = {
 
 _WIDTH: Final = 3
 """Characters per column, so that cells are about square."""
+
+
+def knot_object(choice: KnotChoice) -> dict[str, Any]:
+    """Return a knot with its codes, grid diagram and number of vehicles."""
+    return {
+        "name": choice.title or choice.name,
+        "crossings": choice.crossings,
+        "arc_index": choice.grid.size,
+        "vehicles": choice.vehicles,
+        "gauss": choice.gauss,
+        "dt": list(choice.diagram.dt()),
+        "chirality": choice.chirality,
+        "grid": {"size": choice.grid.size, "columns": [list(pair) for pair in choice.grid.columns]},
+    }
+
+
+def identification_object(identification: Identification) -> dict[str, Any]:
+    """Return the name of an identified curve and its invariants."""
+    return {
+        "name": identification.name,
+        "chirality": identification.chirality,
+        "crossings": identification.crossings,
+        "candidates": list(identification.candidates),
+        "invariants": identification.invariants,
+    }
 
 
 def grid_text(opened: OpenGrid) -> Text:
