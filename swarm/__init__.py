@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from swarm.ground.record_verification import VerifiedRecord
     from swarm.mission import Mission
     from swarm.mission.fleet import Fleet
-    from swarm.simulation.monte_carlo import Spread, Trial
+    from swarm.simulation.spread import Spread
+    from swarm.simulation.trials import Trial
 else:
     _HOMES = {
         "swarm.errors": ("InputError", "Refused", "SwarmError", "VehicleError"),
@@ -52,7 +53,8 @@ else:
         "swarm.certification.certificate": ("Certificate",),
         "swarm.certification.distances": ("Tightest",),
         "swarm.certification.findings": ("Finding",),
-        "swarm.simulation.monte_carlo": ("Spread", "Trial"),
+        "swarm.simulation.spread": ("Spread",),
+        "swarm.simulation.trials": ("Trial",),
     }
     _HOME = {name: home for home, names in _HOMES.items() for name in names}
 

@@ -13,7 +13,8 @@ import pytest
 from joblib.externals.loky import process_executor
 
 from swarm.errors import SwarmError
-from swarm.simulation.fault_injection import FAILURE_CASES, FailureTestSettings, run_failure_tests
+from swarm.simulation.failure_cases import FAILURE_CASES
+from swarm.simulation.failure_tests import FailureTestSettings, run_failure_tests
 from swarm.simulation.workers import parallel_workers
 from tests.command import run
 from tests.network import small_plan

@@ -35,7 +35,7 @@ from swarm.ground.record_reader import (
 from swarm.knots.curve import parse_curve
 from swarm.mission.validation import parse_yaml
 from swarm.planning.archive import read_plan_file
-from swarm.simulation.monte_carlo.spread import read_scenario
+from swarm.simulation.spread import read_scenario
 from swarm.studies import read_rows
 from tests.command import run
 from tests.flight.test_resuming import cut_off_record

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from swarm.cli.files import KINDS, init, schema, schema_of
 from swarm.mission import mission_for_knot, parse_mission
-from swarm.simulation.monte_carlo import read_scenario
+from swarm.simulation.spread import read_scenario
 
 MISSIONS = Path(__file__).parents[1] / "missions"
 FILES = sorted(MISSIONS.rglob("*.yaml"))

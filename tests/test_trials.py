@@ -21,22 +21,15 @@ from swarm.mission import parse_mission
 from swarm.mission.fleet import emulated_fleet
 from swarm.planning.candidates import make_plan
 from swarm.reports.trials import print_trials
-from swarm.simulation.monte_carlo import (
+from swarm.simulation.spread import Spread, draw, read_scenario, trial_scenario_schema
+from swarm.simulation.summaries import (
     CertifiedClearances,
-    Spread,
-    Trial,
     below_certificate,
     certify_clearances,
-    draw,
-    fly_trial,
-    fly_trials,
-    read_scenario,
     summary,
-    trial_scenario_schema,
-    workers_starting,
     worst_trials,
 )
-from swarm.simulation.monte_carlo.results import write_results
+from swarm.simulation.trials import Trial, fly_trial, fly_trials, workers_starting, write_results
 from tests.children import children
 from tests.network import small_plan, uncleared
 from tests.shared import shared

@@ -94,7 +94,7 @@ def dry_run(
             )
         else:
             from swarm.front.trials import load_scenario  # noqa: PLC0415 - slow to import
-            from swarm.simulation.monte_carlo import fly_trial  # noqa: PLC0415
+            from swarm.simulation.trials import fly_trial  # noqa: PLC0415
 
             spread, faults = load_scenario(scenario)
             _, result = fly_trial(

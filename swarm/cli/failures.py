@@ -28,18 +28,15 @@ from swarm.files import write_text
 from swarm.flight.failures import response_rows
 from swarm.flight.stages import Stage, mermaid
 from swarm.reports.failures import failures_report, print_failures
-from swarm.simulation.fault_injection import (
-    TEAM_AUTOPILOTS,
+from swarm.simulation.failure_cases import cases_of
+from swarm.simulation.failure_tests import (
     FailureTestSettings,
-    TeamAutopilots,
-    run_failure_tests,
-)
-from swarm.simulation.fault_injection.failure_cases import cases_of
-from swarm.simulation.fault_injection.results_file import (
     append_results,
     open_results,
     results_header,
+    run_failure_tests,
 )
+from swarm.simulation.stepped_simulation import TEAM_AUTOPILOTS, TeamAutopilots
 
 
 def print_responses(*, whole: bool, diagram: bool) -> None:

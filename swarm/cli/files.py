@@ -162,6 +162,6 @@ def schema_of(kind: str) -> dict[str, Any]:
         from swarm.simulation.loop import world_schema  # noqa: PLC0415 - slow to import
 
         return world_schema()
-    from swarm.simulation.monte_carlo import trial_scenario_schema  # noqa: PLC0415 - slow to import
+    from swarm.simulation.spread import trial_scenario_schema  # noqa: PLC0415 - slow to import
 
     return trial_scenario_schema()

@@ -26,8 +26,7 @@ from swarm.files import write_text
 from swarm.flight.flight_plan import ComparisonFlight, FlightPlan
 from swarm.front.trials import Trials, fly_series, load_scenario
 from swarm.reports.trials import print_trials, trials_report
-from swarm.simulation.monte_carlo import workers_starting
-from swarm.simulation.monte_carlo.results import write_results
+from swarm.simulation.trials import workers_starting, write_results
 
 
 @click.command()

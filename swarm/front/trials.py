@@ -17,16 +17,9 @@ from swarm.front.flights import flyable
 from swarm.mission.validation import LARGEST_FILE
 from swarm.notebook import table
 from swarm.simulation.loop import Fault
-from swarm.simulation.monte_carlo import (
-    CertifiedClearances,
-    Spread,
-    Trial,
-    certify_clearances,
-    fly_trials,
-    read_scenario,
-    summary,
-)
-from swarm.simulation.monte_carlo.results import results_table, write_results
+from swarm.simulation.spread import Spread, read_scenario
+from swarm.simulation.summaries import CertifiedClearances, certify_clearances, summary
+from swarm.simulation.trials import Trial, fly_trials, results_table, write_results
 from swarm.simulation.workers import process_count
 
 if TYPE_CHECKING:
@@ -68,7 +61,7 @@ class Trials(Sequence[Trial]):
         """Return a :class:`pyarrow.Table` with one row per trial.
 
         Columns are ``method``, ``seed`` and the fields of :class:`swarm.Trial` (metres, seconds,
-        m/s). Source: :func:`swarm.simulation.monte_carlo.results.results_table`.
+        m/s). Source: :func:`swarm.simulation.trials.results_table`.
         """
         return results_table([(self.plan, self.trials)], self.seed, self.spread)
 
@@ -76,7 +69,7 @@ class Trials(Sequence[Trial]):
         """Return the table of :meth:`to_arrow` as a :class:`pandas.DataFrame`.
 
         Raises :class:`swarm.SwarmError` if pandas, which this package does not require, is not
-        installed. Source: :func:`swarm.simulation.monte_carlo.results.results_table`.
+        installed. Source: :func:`swarm.simulation.trials.results_table`.
         """
         try:
             import pandas  # noqa: F401, PLC0415 - optional
@@ -89,7 +82,7 @@ class Trials(Sequence[Trial]):
         """Write the table of :meth:`to_arrow` as a Parquet file.
 
         Raises :class:`swarm.InputError` where it cannot be written.
-        Source: :func:`swarm.simulation.monte_carlo.results.write_results`.
+        Source: :func:`swarm.simulation.trials.write_results`.
         """
         write_results(Path(path), [(self.plan, self.trials)], self.seed, self.spread)
 
@@ -97,7 +90,7 @@ class Trials(Sequence[Trial]):
     def certified(self) -> CertifiedClearances:
         """The certified distances for the tracking errors of the trials; computed once, in seconds.
 
-        Source: :func:`swarm.simulation.monte_carlo.certify_clearances`.
+        Source: :func:`swarm.simulation.summaries.certify_clearances`.
         """
         return certify_clearances(self.plan, self.trials, process_count(self.jobs))
 
@@ -111,7 +104,7 @@ class Trials(Sequence[Trial]):
 
         Distances in metres. ``["certificate"]["below"]`` lists the trials with a smaller distance
         than certified for their tracking error.
-        Source: :func:`swarm.simulation.monte_carlo.summary`.
+        Source: :func:`swarm.simulation.summaries.summary`.
         """
         return summary(
             self.plan, self.trials, seed=self.seed, spread=self.spread, certified=self.certified
@@ -169,7 +162,7 @@ def monte_carlo(
     :class:`swarm.InputError` for numbers out of range, and :class:`swarm.SwarmError` where the
     cluster's packages are missing or the scheduler does not respond.
 
-    Source: :func:`swarm.simulation.monte_carlo.fly_trials`.
+    Source: :func:`swarm.simulation.trials.fly_trials`.
     """
     problems = [
         Problem(name, f"expected a whole number >= 1, got {value!r}")
@@ -202,7 +195,7 @@ def load_scenario(path: str | os.PathLike[str] | None) -> tuple[Spread, tuple[Fa
 
     Raises :class:`swarm.InputError` with every problem at once.
 
-    Source: :func:`swarm.simulation.monte_carlo.read_scenario`; `swarm schema scenario` prints the
+    Source: :func:`swarm.simulation.spread.read_scenario`; `swarm schema scenario` prints the
     format.
     """
     if path is None:

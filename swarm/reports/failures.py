@@ -12,7 +12,7 @@ from rich.console import Console
 from swarm.planning import Plan
 from swarm.reports.formatting import counted, number
 from swarm.reports.result import Cell, Table, Verdict, Words, drawn, print_verdict
-from swarm.simulation.fault_injection import SYSTEM_FAILURE_CASES
+from swarm.simulation.failure_cases import SYSTEM_FAILURE_CASES
 
 Document = Mapping[str, Any]
 

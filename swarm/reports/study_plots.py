@@ -26,7 +26,8 @@ from swarm.reports.plots import (
     new_figure,
     sparse_ticks,
 )
-from swarm.simulation.monte_carlo import CertifiedClearances, Trial
+from swarm.simulation.summaries import CertifiedClearances
+from swarm.simulation.trials import Trial
 
 if TYPE_CHECKING:
     from swarm_rope import RopeRun

@@ -1,7 +1,7 @@
 """Many simulated flights of a plan: the verdict, distances with intervals; terminal and page.
 
 ``summary`` is everywhere the JSON object that ``swarm trials --json`` prints
-(:func:`swarm.simulation.monte_carlo.summary`).
+(:func:`swarm.simulation.summaries.summary`).
 """
 
 from collections.abc import Mapping, Sequence

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from swarm import planner
 from swarm.mission import parse_mission
-from swarm.simulation.monte_carlo import Spread, fly_trial
+from swarm.simulation.spread import Spread
+from swarm.simulation.trials import fly_trial
 
 BUDGET = 2.4
 """Seconds of a core per trial: 200 of them in four minutes on two cores."""

@@ -29,23 +29,21 @@ from swarm.flight.state import Contingency
 from swarm.mission import mission_for_knot, parse_mission
 from swarm.planning import digest
 from swarm.planning.candidates import make_plan
-from swarm.simulation.fault_injection import (
+from swarm.simulation import failure_tests as evaluation
+from swarm.simulation.failure_cases import (
     FAILURE_CASES,
     SYSTEM_FAILURE_CASES,
-    TEAM_AUTOPILOTS,
     FailureCase,
-    FailureTestSettings,
-    FaultTrial,
-    TeamAutopilots,
-    evaluation,
-    run_failure_tests,
+    cases_of,
 )
-from swarm.simulation.fault_injection.failure_cases import cases_of
-from swarm.simulation.fault_injection.stepped_simulation import (
+from swarm.simulation.failure_tests import FailureTestSettings, FaultTrial, run_failure_tests
+from swarm.simulation.loop import Fault
+from swarm.simulation.stepped_simulation import (
+    TEAM_AUTOPILOTS,
     SteppedSimulation,
+    TeamAutopilots,
     failure_test_fleet,
 )
-from swarm.simulation.loop import Fault
 from tests.network import small_plan
 
 ROOT = Path(__file__).parents[2]

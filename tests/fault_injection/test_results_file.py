@@ -9,21 +9,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarm.errors import InputError
-from swarm.simulation.fault_injection import (
-    FAILURE_CASES,
-    TEAM_AUTOPILOTS,
+from swarm.simulation.failure_cases import FAILURE_CASES
+from swarm.simulation.failure_tests import (
+    CaseTrials,
     FailureTestSettings,
     FaultTrial,
-    run_failure_tests,
-)
-from swarm.simulation.fault_injection.results_file import (
-    CaseTrials,
     append_results,
     line,
     open_results,
     read_results,
     results_header,
+    run_failure_tests,
 )
+from swarm.simulation.stepped_simulation import TEAM_AUTOPILOTS
 from tests.network import small_plan
 
 PLAN = small_plan(vehicles=3)

@@ -26,7 +26,7 @@ from swarm.flight.stages import Stage
 from swarm.mavlink.telemetry_table import WIDTH
 from swarm.mavlink.vehicle import VehicleEvent
 from swarm.mission.fleet import emulated_fleet
-from swarm.simulation.fault_injection.stepped_simulation import branch, lasting
+from swarm.simulation.stepped_simulation import branch, lasting
 from tests.network import Network, small_plan
 
 PLACES = np.array([[0.0, 0.0, 5.0], [3.0, 0.0, 5.0], [6.0, 0.0, 5.0]])

@@ -7,11 +7,11 @@ import pytest
 from sitl.faults import Fault
 from swarm.flight.setup import FlightOptions
 from swarm.mission.fleet import emulated_fleet
-from swarm.simulation.fault_injection.stepped_simulation import (
+from swarm.simulation.loop import simulate_flight
+from swarm.simulation.stepped_simulation import (
     SteppedSimulation,
     failure_test_fleet,
 )
-from swarm.simulation.loop import simulate_flight
 from tests.network import Network, small_plan, uncleared
 
 PLAN = small_plan()

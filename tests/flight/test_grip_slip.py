@@ -7,11 +7,11 @@ from swarm.flight import grip_slip
 from swarm.flight.failures import Latch
 from swarm.flight.grip_slip import GripSlipDetector, lean, score_needed
 from swarm.mission.fleet import emulated_fleet
-from swarm.simulation.fault_injection.stepped_simulation import (
+from swarm.simulation.loop import Fault
+from swarm.simulation.stepped_simulation import (
     SteppedSimulation,
     failure_test_fleet,
 )
-from swarm.simulation.loop import Fault
 from tests.network import Network, small_plan
 
 PLAN = small_plan(vehicles=5)

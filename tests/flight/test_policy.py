@@ -29,7 +29,7 @@ from swarm.flight.failures import (
 from swarm.flight.responding import respond
 from swarm.flight.stages import Stage, Step
 from swarm.flight.state import FlightState, Timing
-from swarm.simulation.fault_injection.stepped_simulation import branch, lasting
+from swarm.simulation.stepped_simulation import branch, lasting
 from tests.network import Network, small_plan
 
 PLAN = small_plan(vehicles=5)

@@ -19,13 +19,13 @@ from swarm.flight.failures import FailureKind, Response
 from swarm.flight.responding import REQUESTS
 from swarm.flight.stages import STEP_TRANSITIONS, TRANSITIONS, Stage, Step
 from swarm.mavlink.packets import Decoder, Encoder
-from swarm.simulation.fault_injection import FAILURE_CASES
-from swarm.simulation.fault_injection.stepped_simulation import (
+from swarm.simulation.failure_cases import FAILURE_CASES
+from swarm.simulation.loop import LINK, Fault
+from swarm.simulation.stepped_simulation import (
     HOLD,
     SteppedSimulation,
     failure_test_fleet,
 )
-from swarm.simulation.loop import LINK, Fault
 from tests.network import small_plan
 
 PLAN = small_plan(vehicles=3)

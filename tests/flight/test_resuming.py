@@ -14,7 +14,7 @@ from swarm.flight.setup import FlightOptions
 from swarm.flight.tlog import ClockEncoder, frames_document, left_off, read_frames, replay
 from swarm.ground.record import Record
 from swarm.mission.fleet import emulated_fleet
-from swarm.simulation.fault_injection.stepped_simulation import set_audited_parameters
+from swarm.simulation.stepped_simulation import set_audited_parameters
 from tests.network import Network, small_plan
 
 PLAN = small_plan()

@@ -12,15 +12,15 @@ from functools import cache
 
 from swarm.flight.conductor import Conductor
 from swarm.flight.world import emulated_world
-from swarm.simulation.fault_injection import FAILURE_CASES, FailureCase, FaultTrial, TeamAutopilots
-from swarm.simulation.fault_injection.failure_cases import Part
-from swarm.simulation.fault_injection.failure_tests import fly_fault_trial
-from swarm.simulation.fault_injection.stepped_simulation import (
+from swarm.simulation.failure_cases import FAILURE_CASES, FailureCase, Part
+from swarm.simulation.failure_tests import FaultTrial, fly_fault_trial
+from swarm.simulation.loop import parse_world
+from swarm.simulation.stepped_simulation import (
     SteppedSimulation,
+    TeamAutopilots,
     failure_test_fleet,
     set_audited_parameters,
 )
-from swarm.simulation.loop import parse_world
 from tests.golden.environment import environment
 from tests.golden.transcripts import fault_line, transcript
 from tests.golden.wire import Tapped, numbers_of

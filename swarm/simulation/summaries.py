@@ -13,8 +13,8 @@ from joblib import Parallel, delayed
 from swarm.certification.clearances import tightest_moments
 from swarm.certification.kinds import MEASURED, required_distances
 from swarm.planning import Plan
-from swarm.simulation.monte_carlo.spread import Spread
-from swarm.simulation.monte_carlo.trial import Trial
+from swarm.simulation.spread import Spread
+from swarm.simulation.trials import Trial
 
 Floats = npt.NDArray[np.float64]
 
