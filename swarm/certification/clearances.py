@@ -180,8 +180,12 @@ class PlanChecks:
         See :meth:`.Swings.near_pairs_after_urgent_stops`; None where there is no tube.
         """
         certified = self.plan.mission.fold.certifies_swing
-        begun = self.ordinary_swings if certified else self.planned_swings
-        return None if begun is None else begun.near_pairs_after_urgent_stops()
+        # those of all strands only where they are known already: near pairs take less time alone
+        known = certified and "ordinary_swings" in vars(self)
+        begun = self.ordinary_swings if known else self.planned_swings
+        if begun is None:
+            return None
+        return begun.near_pairs_after_urgent_stops(ordinary=certified and not known)
 
     @cached_property
     def _limits_ahead(self) -> RateLimits:

@@ -148,11 +148,10 @@ class Wanted:
     start: float
     strands: Flags
 
-    def during(self, times: Floats) -> Flags:
-        """Return the strands (n − 1,) that are wanted anywhere between mission times."""
-        ends = (np.array([times.min(), times.max()]) - self.start) / BIN
-        first, last = np.minimum(ends.astype(np.intp), len(self.strands) - 1)
-        return np.asarray(self.strands[first : last + 1].any(axis=0))
+    def at(self, times: Floats) -> Flags:
+        """Return the strands (…, n − 1) that are wanted at mission times (…,)."""
+        bins = ((times - self.start) / BIN).astype(np.intp)
+        return np.asarray(self.strands[np.minimum(bins, len(self.strands) - 1)])
 
 
 class _Group(NamedTuple):
@@ -292,7 +291,8 @@ def swings_after(
     """Yield the swings after changes of the clock's rate, several courses together.
 
     Strands that are not ``wanted`` at the times of these courses are not simulated: their strays
-    are 0.
+    are 0. Courses that stay at rest, of which the last moments count, are followed to their end,
+    others until no strand is wanted any more.
     """
     limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
     strands, model = planned.strands, planned.strands[-1].model
@@ -315,9 +315,15 @@ def swings_after(
             times = np.clip(_with_step(times, model.step), span[0], span[1])
             for first in range(0, len(chosen), _TOGETHER):
                 some = slice(first, first + _TOGETHER)
-                here = everywhere if wanted is None else wanted.during(times[some])
+                here, moved = everywhere, times[some]
+                if wanted is not None:
+                    at_moments = np.asarray(wanted.at(moved[:, ::compared]).any(axis=0))
+                    here = np.asarray(at_moments.any(axis=0))
+                    if course.target != 0.0 and here.any():
+                        last = np.flatnonzero(at_moments.any(axis=1))[-1]
+                        moved = moved[:, : last * compared + 1]
                 if here.any():
-                    yield _Group(course, times[some], chosen[some] // compared, here)
+                    yield _Group(course, moved, chosen[some] // compared, here)
 
     def swung(group: _Group) -> Swung:
         course, times = group.course, group.times

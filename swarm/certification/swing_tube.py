@@ -398,15 +398,17 @@ class Swings:
         bound = (1.0 + BETWEEN_SAMPLES) * self.approach + 2.0 * (BETWEEN_STOPS + MODEL_ERROR)
         return PairSwing(self.span[0], self.close, bound)
 
-    def near_pairs_after_urgent_stops(self) -> PairSwing:
+    def near_pairs_after_urgent_stops(self, *, ordinary: bool = False) -> PairSwing:
         """Return bounds for the pairs that tracking errors bring nearer than NEAR, after these.
 
         No other strands are simulated, which takes a tenth of the time of the whole tube. Where
-        budgets are short in it, they are short.
+        budgets are short in it, they are short. With ``ordinary``, after ordinary stops and their
+        resumes, too.
         """
+        courses = (*ORDINARY_COURSES, *_URGENT_STOPS) if ordinary else _URGENT_STOPS
         near = self.nearer_than(NEAR)
         wanted = near.wanted(len(self.plan.layout.lengths))
-        for swung in swings_after(self.plan, near.span, near.planned, _URGENT_STOPS, wanted):
+        for swung in swings_after(self.plan, near.span, near.planned, courses, wanted):
             near.collect_pairs(swung)
         return near.pairs
 

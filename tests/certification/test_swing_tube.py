@@ -188,9 +188,13 @@ def test_the_tube_is_the_same_on_one_core(shaped: Plan, tube: SwingTube) -> None
     assert np.array_equal(again.ordinary.pieces, tube.ordinary.pieces)
 
 
-@pytest.mark.parametrize("limit", [0.06, "auto"])
-def test_near_pairs_swing_after_urgent_stops_as_all_do(shaped: Plan, limit: float | str) -> None:
+@pytest.mark.parametrize(("limit", "known"), [(0.06, True), (0.06, False), ("auto", False)])
+def test_near_pairs_swing_after_urgent_stops_as_all_do(
+    shaped: Plan, limit: float | str, known: bool
+) -> None:
     plan = with_limit(shaped, limit)
+    if known:  # as where the clearances were certified in the tube before
+        assert PlanChecks.of(plan).ordinary_swings is not None
     found, tube = PlanChecks.of(plan).swing_after_urgent_stops(), PlanChecks.of(plan).tube
     assert found is not None
     assert tube is not None
