@@ -200,7 +200,7 @@ def test_another_installation_of_the_same_sources_is_compiled_beforehand_too(tmp
 def test_an_inner_function_can_be_called_from_python_but_not_in_flight() -> None:
     assert dot((1.0, 2.0, 3.0), (4.0, 5.0, 6.0)) == 32.0
     assert jit.declared(dot) is None
-    with sealed(), pytest.warns(RuntimeWarning, match=r"vectors\.dot is interpreted"):
+    with sealed(), pytest.warns(RuntimeWarning, match=r"distance\.dot is interpreted"):
         assert dot((1.0, 2.0, 3.0), (4.0, 5.0, 6.0)) == 32.0
 
 

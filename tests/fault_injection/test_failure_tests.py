@@ -25,6 +25,7 @@ from swarm.flight.contingency import (
     turning_below_cable,
 )
 from swarm.flight.failures import FailureKind, Response
+from swarm.flight.observation import Observation
 from swarm.flight.state import Contingency
 from swarm.mission import mission_for_knot, parse_mission
 from swarm.planning import digest
@@ -113,12 +114,11 @@ def problems(
     contingency = SimpleNamespace(cornered=True) if cornered else None
     state = SimpleNamespace(
         contingency=contingency,
+        stream_loss=replace(PLAN.assessment.stream_loss, model=model),
         clock=SimpleNamespace(time=50.0),
         setup=SimpleNamespace(windows=SimpleNamespace(can_land=lambda time: time < until)),
     )
-    stream_loss = replace(PLAN.assessment.stream_loss, model=model)
-    conductor = SimpleNamespace(state=state, stream_loss=stream_loss)
-    flight = SimpleNamespace(flight_plan=flight_plan, conductor=conductor)
+    flight = SimpleNamespace(flight_plan=flight_plan, conductor=SimpleNamespace(state=state))
     return evaluation.find_problems(flight, BY_NAME[case], replace(passed, **changes))
 
 
@@ -538,7 +538,9 @@ def test_the_team_descends_onto_no_rotor_that_still_turns():
     state.contingency = flown_by_itself(2)
     assert turning_below_cable(state) == []
     state.contingency = None
-    state.observation = replace(state.observation, armed=np.array([True, True, False]))
+    values = state.observation.values.copy()
+    values[2, Observation.armed.columns] = 0.0
+    state.observation = replace(state.observation, values=values)
     assert turning_below_cable(state) == []
 
 
