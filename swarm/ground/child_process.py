@@ -72,6 +72,39 @@ class ChildProcess:
             self._process.wait()
 
 
+class RestartedProcess:
+    """A child process that is started again where it ends; each gets ``first`` as first message."""
+
+    def __init__(self, module: str, first: Any) -> None:
+        self._module, self._first = module, first
+        self._start()
+
+    def _start(self) -> None:
+        self._child = ChildProcess(self._module)
+        self._child.send(self._first)
+
+    def receive(self, timeout: float) -> Iterator[Any]:
+        """Yield the next message, and raise, as :meth:`ChildProcess.receive`."""
+        return self._child.receive(timeout)
+
+    def arrived(self) -> Iterator[Any]:
+        """Yield the messages that have arrived.
+
+        Raises :class:`ChildError` where the process has ended; then another one was started.
+        """
+        try:
+            while (message := next(self._child.receive(0.0), None)) is not None:
+                yield message
+        except ChildError:
+            self._child.close()
+            self._start()
+            raise
+
+    def close(self) -> None:
+        """End the process."""
+        self._child.close()
+
+
 def exit_reason(code: int) -> str:
     """Return a return code of :mod:`subprocess` as text: a signal or an exit code."""
     return f"signal {-code}" if code < 0 else f"exit code {code}"

@@ -17,8 +17,7 @@ from pymavlink.dialects.v20 import common
 
 from swarm.certification.findings import Finding
 from swarm.flight.router import Outgoing, Route, Team
-from swarm.ground.child_process import ChildError, ChildProcess
-from swarm.ground.corrections_child import PORTS, without_password
+from swarm.ground.child_process import ChildError, RestartedProcess
 from swarm.mission.fleet import Fleet
 
 FRAGMENT = 180
@@ -37,12 +36,12 @@ def parse_source(url: str) -> str:
     """Return the address of a source of corrections; raises `ValueError` for another text."""
     parts = urlsplit(url)
     try:
-        port = parts.port if parts.scheme in ("udp", *PORTS) else None
+        port = parts.port if parts.scheme in ("udp", "ntrip", "ntrips") else None
     except ValueError:
         port = 0
+    caster = bool(parts.hostname) and port != 0 and len(parts.path) > 1
     fits = {
-        "ntrip": bool(parts.hostname) and port != 0 and len(parts.path) > 1,
-        "ntrips": bool(parts.hostname) and port != 0 and len(parts.path) > 1,
+        **dict.fromkeys(("ntrip", "ntrips"), caster),
         "udp": bool(parts.hostname) and bool(port),
         "serial": len(url) > len("serial://"),
         "file": bool(parts.path),
@@ -50,6 +49,12 @@ def parse_source(url: str) -> str:
     if not fits.get(parts.scheme, False):
         raise ValueError(f"{_EXPECTED}, got {without_password(url)}")
     return url
+
+
+def without_password(url: str) -> str:
+    """Return an address without the name and the password in it, for messages and records."""
+    scheme, separator, rest = url.partition("://")
+    return scheme + separator + rest.rpartition("@")[2] if separator else url
 
 
 def correction_messages(frame: bytes, sequence: int) -> list[Any]:
@@ -105,26 +110,18 @@ class CorrectionSource:
 
     def __init__(self, url: str, position: tuple[float, float, float] | None) -> None:
         """Start; ``position`` (degrees, degrees, metres) is reported to a caster."""
-        self._given = url, position
-        self.problem = ""
-        self._start()
-
-    def _start(self) -> None:
-        self._child = ChildProcess("swarm.ground.corrections_child")
-        self._child.send(self._given)
+        self._source, self.problem = without_password(url), ""
+        self._child = RestartedProcess("swarm.ground.corrections_child", (url, position))
 
     def frames(self) -> Iterator[bytes]:
         """Yield the RTCM messages that have arrived."""
         try:
-            while (message := next(self._child.receive(0.0), None)) is not None:
-                kind, content = message
-                self.problem = "" if kind == "frame" else content
+            for kind, content in self._child.arrived():
+                self.problem = "" if kind == "frame" else f"{self._source}: {content}"
                 if kind == "frame":
                     yield content
         except ChildError as error:
             self.problem = str(error)
-            self._child.close()
-            self._start()
 
     def close(self) -> None:
         """End the process."""

@@ -33,13 +33,7 @@ _POSITION_INTERVAL = 10.0
 _EPOCH = 1.0
 """Seconds between the epochs of a recording, which begin with a type that was there before."""
 _DEFAULT_BAUD = 115_200
-PORTS = {"ntrip": 2101, "ntrips": 443}
-
-
-def without_password(url: str) -> str:
-    """Return an address without the name and the password in it, for messages and records."""
-    scheme, separator, rest = url.partition("://")
-    return scheme + separator + rest.rpartition("@")[2] if separator else url
+_PORTS = {"ntrip": 2101, "ntrips": 443}
 
 
 def read_source(url: str, position: tuple[float, float, float] | None, pipe: Connection) -> None:
@@ -59,7 +53,7 @@ def read_source(url: str, position: tuple[float, float, float] | None, pipe: Con
             words = "the source has ended"
         except (OSError, VehicleError, http.client.HTTPException) as error:
             words = reason(error) if isinstance(error, OSError) else str(error)
-        pipe.send(("problem", f"{without_password(url)}: {words}"))
+        pipe.send(("problem", words))
         if recorded:
             pipe.poll(None)  # old corrections are not sent again; wait for the end
             raise EOFError
@@ -80,7 +74,7 @@ def _open(url: str, position: tuple[float, float, float] | None) -> Any:
         datagrams = socket.socket(*address[:2])
         datagrams.bind(address[4])
         return datagrams
-    caster = socket.create_connection((host, parts.port or PORTS[parts.scheme]), _CONNECT_TIMEOUT)
+    caster = socket.create_connection((host, parts.port or _PORTS[parts.scheme]), _CONNECT_TIMEOUT)
     if parts.scheme == "ntrips":
         caster = ssl.create_default_context().wrap_socket(caster, server_hostname=host)
     return _Caster(caster, url, position)
@@ -96,7 +90,7 @@ class _Caster:
         self._socket, self._position, self._reported = connection, position, time.monotonic()
         lines = [
             f"GET {parts.path} HTTP/1.1",
-            f"Host: {parts.hostname}:{parts.port or PORTS[parts.scheme]}",
+            f"Host: {parts.hostname}:{parts.port or _PORTS[parts.scheme]}",
             "Ntrip-Version: Ntrip/2.0",
             "User-Agent: NTRIP swarm-ground-station",
             "Connection: close",

@@ -11,6 +11,7 @@ import json
 import math
 import socket
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
@@ -19,7 +20,7 @@ from pymavlink.dialects.v20 import common
 
 from swarm.errors import VehicleError, reason
 from swarm.flight.router import Outgoing, Team
-from swarm.ground.child_process import ChildError, ChildProcess
+from swarm.ground.child_process import ChildError, RestartedProcess
 from swarm.mavlink.frames import Origin
 
 _LARGEST_DATAGRAM = 65_536
@@ -114,8 +115,7 @@ class LaboratoryCapture:
             raise VehicleError(
                 "motion capture needs a library: pip install 'swarm-ground-station[mocap]'"
             )
-        self._system = kind, host
-        self._start()
+        self._child = RestartedProcess(_MODULE, (kind, host))
         try:
             message = next(self._child.receive(timeout), None)
         except ChildError as error:
@@ -125,10 +125,6 @@ class LaboratoryCapture:
             reason = message[1] if message else f"no answer within {timeout:g} s"
             raise VehicleError(f"motion capture: {kind} at {host}: {reason}")
 
-    def _start(self) -> None:
-        self._child = ChildProcess(_MODULE)
-        self._child.send(self._system)
-
     @property
     def port(self) -> int | None:
         """None: the library has its own."""
@@ -136,15 +132,12 @@ class LaboratoryCapture:
 
     def latest(self) -> Iterable[Pose]:
         """Return the newest poses."""
-        found: dict[int, Pose] = {}
-        try:
-            while (message := next(self._child.receive(0.0), None)) is not None:
+        poses: dict[int, Pose] = {}
+        with suppress(ChildError):
+            for message in self._child.arrived():
                 if message[0] == "frame":
-                    found |= {body[0]: Pose(*body) for body in message[1]}
-        except ChildError:
-            self._child.close()
-            self._start()
-        return found.values()
+                    poses |= {body[0]: Pose(*body) for body in message[1]}
+        return poses.values()
 
     def close(self) -> None:
         """End the process."""
