@@ -182,7 +182,6 @@ function drawSide(canvas, plan, state) {
 function spaceView(canvas, labels) {
   const paint = painter(canvas);
   let yaw = -0.5, pitch = 0.62, zoom = 1, last = null;
-  const fingers = new Map();
 
   function coloured() {
     const dark = darkScheme.matches;
@@ -243,22 +242,6 @@ function spaceView(canvas, labels) {
     event.stopPropagation();
     keys[event.key]();
   });
-  canvas.addEventListener("pointerdown", (event) => {
-    fingers.set(event.pointerId, [event.clientX, event.clientY]);
-    canvas.setPointerCapture(event.pointerId);
-  });
-  canvas.addEventListener("pointermove", (event) => {
-    const before = fingers.get(event.pointerId);
-    if (!before) return;
-    fingers.set(event.pointerId, [event.clientX, event.clientY]);
-    if (fingers.size === 1) turn((event.clientX - before[0]) / 150, (event.clientY - before[1]) / 150);
-  });
-  for (const ending of ["pointerup", "pointercancel"])
-    canvas.addEventListener(ending, (event) => fingers.delete(event.pointerId));
-  canvas.addEventListener("wheel", (event) => {
-    if (document.activeElement !== canvas && !event.ctrlKey) return;
-    event.preventDefault();
-    magnify(Math.exp(-event.deltaY / 500));
-  }, { passive: false });
+  gestures(canvas, turn, magnify);
   return draw;
 }

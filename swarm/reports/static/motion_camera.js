@@ -62,3 +62,33 @@ function onCanvas(matrix, p, canvas) {
     matrix[row] * p[0] + matrix[4 + row] * p[1] + matrix[8 + row] * p[2] + matrix[12 + row]);
   return w <= 0 ? null : [(0.5 + x / w / 2) * canvas.width, (0.5 - y / w / 2) * canvas.height];
 }
+
+// Turns a picture with a finger or the mouse, and magnifies it with two fingers or the wheel.
+function gestures(canvas, turn, magnify) {
+  const fingers = new Map();
+  const spread = () => {
+    const [a, b] = [...fingers.values()];
+    return Math.hypot(a[0] - b[0], a[1] - b[1]) || 1;
+  };
+  canvas.addEventListener("pointerdown", (event) => {
+    if (fingers.size < 2) fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    canvas.setPointerCapture(event.pointerId);
+  });
+  canvas.addEventListener("pointermove", (event) => {
+    const before = fingers.get(event.pointerId);
+    if (!before) return;
+    const wide = fingers.size === 2 && spread();
+    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    if (wide) magnify(spread() / wide);
+    else turn((event.clientX - before[0]) / 150, (event.clientY - before[1]) / 150);
+  });
+  for (const ending of ["pointerup", "pointercancel"]) {
+    canvas.addEventListener(ending, (event) => fingers.delete(event.pointerId));
+  }
+  // A page that is scrolled with the wheel must not stop at the picture.
+  canvas.addEventListener("wheel", (event) => {
+    if (document.activeElement !== canvas && !event.ctrlKey) return;
+    event.preventDefault();
+    magnify(Math.exp(-event.deltaY / 500));
+  }, { passive: false });
+}
