@@ -58,6 +58,7 @@ MODES: dict[int, Mode] = {
     17: Mode("BRAKE", True, False, autonomous=True),
 }
 STABILIZE, AUTO, GUIDED, LOITER, RTL, LAND, BRAKE = 0, 3, 4, 5, 6, 9, 17
+"""Numbers of modes (COPTER_MODE of ardupilotmega.xml)."""
 
 GROUND_STATION_LOSS = {0: None, 1: RTL, 2: RTL, 3: RTL, 4: LAND, 5: LAND, 6: LAND, 7: BRAKE}
 """FS_GCS_ENABLE; SmartRTL does not exist here and falls back as documented."""
@@ -130,9 +131,11 @@ _TAKEN_OFF = 0.9
 _LOGS_ON = 15.0
 """Seconds for which the log continues after disarming."""
 _LOCAL, _LOCAL_OFFSET, _BODY, _BODY_OFFSET = 1, 7, 8, 9
+"""MAV_FRAME of setpoints (common.xml)."""
 _TAKEOFF_CANCELLED = 0.2
 _POSITION, _VELOCITY, _ACCELERATION, _FORCE = 7, 56, 448, 512
 _YAW_BITS = 3072
+"""POSITION_TARGET_TYPEMASK: bits of quantities to ignore, and that of forces (common.xml)."""
 _Vector = tuple[float, float, float]
 _BASIC_READY = 10.0
 ALTITUDE, CIRCLE, POLYGON = 1, 2, 4
@@ -149,7 +152,7 @@ _ESTIMATOR_TIMEOUT = 8.0
 """Seconds without a receiver until the estimator's variances are a failure: measured on 4.6.2.
 
 The dead reckoning failsafe (FS_DR_ENABLE) does not come before it: it needs an estimate of the
-wind (EK3_DRAG_BCOEF_X), which multicopters have only where somebody has measured their drag."""
+wind (EK3_DRAG_BCOEF_X), which multicopters have only where their drag was measured."""
 _FENCES = {ALTITUDE: "Max Alt", CIRCLE: "Circle", POLYGON: "Polygon"}
 _FORCE_ARM, _FORCE_DISARM = 2989, 21196
 _PREARM_INTERVAL = 30.0

@@ -34,8 +34,8 @@ Level = Literal["good", "warn", "bad", "idle"]
 
 POINTS: Final = 17
 """Points of a strand in a picture: its curve is drawn through them."""
-LOW_BATTERY, EMPTY_BATTERY = 0.3, 0.2
-"""Shares of a battery below which it is shown as low, and as red."""
+LOW_BATTERY: Final = 0.3
+"""Share of a battery below which it is shown as low."""
 OLD_PACKET: Final = 1.0
 """Seconds without a packet after which a link is shown as late."""
 NEAR_LIMIT: Final = 0.1
@@ -265,7 +265,7 @@ def _wrong(snapshot: Snapshot, k: int, error: float, allowed: float) -> tuple[li
             bad.append(words)
         elif error > NEAR_ERROR * allowed:
             warn.append(words)
-    if battery < EMPTY_BATTERY:
+    if battery < scene.EMPTY_BATTERY:
         bad.append(f"battery {battery:.0%}")
     elif battery < LOW_BATTERY:
         warn.append(f"battery {battery:.0%}")

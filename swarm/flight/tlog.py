@@ -24,7 +24,14 @@ from swarm.flight.preparation import STANDING_TIME, prepared_team
 from swarm.flight.trace import Trace
 from swarm.mavlink.autopilots import AUTOPILOTS, Autopilot
 from swarm.mavlink.frames import Frames
-from swarm.mavlink.packets import GROUND_SYSTEM, Decoder, Encoder, Packet, packet_length
+from swarm.mavlink.packets import (
+    GROUND_SYSTEM,
+    Decoder,
+    Encoder,
+    Packet,
+    enum_words,
+    packet_length,
+)
 from swarm.mavlink.vehicle import HANDLED_MESSAGES, Vehicle
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
@@ -54,11 +61,7 @@ _VALUE = int(common.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT)
 _COMMAND = int(common.MAVLINK_MSG_ID_COMMAND_LONG)
 _ANSWER = int(common.MAVLINK_MSG_ID_COMMAND_ACK)
 _WANTED = HANDLED_MESSAGES | {_SETPOINT, _VALUE, _COMMAND}
-_COMMANDS = {
-    int(value): name.removeprefix("MAV_CMD_").replace("_", " ").lower()
-    for name, value in vars(common).items()
-    if name.startswith("MAV_CMD_") and isinstance(value, int)
-}
+_COMMANDS = enum_words("MAV_CMD", "MAV_CMD_")
 
 
 @dataclass(frozen=True)

@@ -159,7 +159,8 @@ class Preflight:
         flyers = self.conductor.flyers
         names = {v.system: v.autopilot.name for v in flyers if v.autopilot is not None}
         plan, fleet = self.conductor.plan, self.conductor.fleet
-        audits = Auditor(relay, names, plan_requirements(plan, fleet)).audit()
+        required, gps = plan_requirements(plan, fleet), fleet.frame == "gps"
+        audits = Auditor(relay, names, required, fences=gps).audit()
         with suppress(OSError):
             save_parameters(self.folder, audits)
         values = {vehicle.system: vehicle.parameters for vehicle in audits}
@@ -168,7 +169,7 @@ class Preflight:
         duration = plan.flight_duration + loss.delay
         battery = 100.0 * duration / plan.mission.vehicles.endurance
         found = [finding for vehicle in audits for finding in vehicle.findings(battery)]
-        if fleet.frame == "gps":
+        if gps:
             tracking = plan.mission.vehicles.tracking
             found += [position_quality(f"system {v.system}", v, fleet, tracking) for v in flyers]
         wanted = wanted_fence(plan, flyers, fleet)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from pymavlink.dialects.v20 import common
 
-from swarm.mavlink.packets import GROUND_COMPONENT, GROUND_SYSTEM, Message
+from swarm.mavlink.packets import GROUND_COMPONENT, GROUND_SYSTEM, Message, enum_words
 
 RESEND_AFTER = 1.0
 """Seconds without an acknowledgement after which a command is sent again."""
@@ -27,11 +27,7 @@ STATE_TIMEOUT = 4.0
 
 Reached = Callable[[], bool]
 
-RESULTS = {
-    int(value): name.removeprefix("MAV_RESULT_").replace("_", " ").lower()
-    for name, value in vars(common).items()
-    if name.startswith("MAV_RESULT_") and not name.endswith("ENUM_END")
-}
+_RESULTS = enum_words("MAV_RESULT", "MAV_RESULT_")
 
 
 @dataclass(frozen=True)
@@ -132,7 +128,7 @@ class CommandQueue:
                 active.next_send = now + RETRY_REJECTED_AFTER
                 active.attempts = 0
             case result:
-                self._finish(active, now, succeeded=False, reason=RESULTS.get(result, str(result)))
+                self._finish(active, now, succeeded=False, reason=_RESULTS.get(result, str(result)))
 
     def tick(self, now: float) -> tuple[list[Message], list[CommandResult]]:
         """Return the messages to send now and the results since the last tick."""

@@ -19,7 +19,7 @@ from typing import Any, Literal, NamedTuple
 
 from pymavlink.dialects.v20 import common
 
-from swarm.mavlink.packets import GROUND_SYSTEM, Message
+from swarm.mavlink.packets import GROUND_SYSTEM, Message, enum_words
 
 _FENCE = int(common.MAV_MISSION_TYPE_FENCE)
 _AGAIN = 1.5
@@ -31,11 +31,7 @@ _RESENT = 4
 _MOST_ITEMS = 500
 """Items of a list that are read: more than any autopilot stores of a fence."""
 
-RESULTS = {
-    int(value): name.removeprefix("MAV_MISSION_").replace("_", " ").lower()
-    for name, value in vars(common).items()
-    if name.startswith("MAV_MISSION_") and not name.startswith("MAV_MISSION_TYPE")
-}
+_RESULTS = enum_words("MAV_MISSION_RESULT", "MAV_MISSION_")
 
 State = Literal["idle", "uploading", "clearing", "listing", "reading"]
 
@@ -149,7 +145,7 @@ class Fence:
         elif self._attempts > 1 and self._state == "uploading":
             self._start_again()  # it had given the upload up, or its first answer was lost
         elif message.type != common.MAV_MISSION_INVALID_SEQUENCE:
-            self._fail(f"refused the fence: {RESULTS.get(message.type, message.type)}")
+            self._fail(f"refused the fence: {_RESULTS.get(message.type, message.type)}")
 
     def counted(self, message: Message) -> None:
         """Process a MISSION_COUNT."""

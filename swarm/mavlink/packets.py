@@ -282,6 +282,15 @@ def message_name(number: int) -> str:
     return str(kind.msgname)
 
 
+def enum_words(enum: str, prefix: str) -> dict[int, str]:
+    """Return the values of a MAVLink enum in words, without the prefix of their names."""
+    return {
+        int(value): entry.name.removeprefix(prefix).replace("_", " ").lower()
+        for value, entry in common.enums[enum].items()
+        if not entry.name.endswith("ENUM_END")
+    }
+
+
 def _slow_checksum(data: bytes) -> int:
     return int(common.x25crc(data).crc)
 

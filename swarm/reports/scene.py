@@ -28,6 +28,8 @@ SAMPLE_INTERVAL: Final = 0.5
 
 SILENT_AFTER: Final = 2.0
 """Seconds without a packet after which a vehicle is drawn as silent."""
+EMPTY_BATTERY: Final = 0.2
+"""Share of a battery below which it is shown in red."""
 
 STATE_COLOURS: Final[dict[str, tuple[int, int, int]]] = {
     "idle": (120, 128, 140),

@@ -361,7 +361,10 @@ def team_table(snapshot: Snapshot, plan: Plan, rows: int) -> Table:
             Text(states[i], STATE_STYLES[states[i]]),
             snapshot.modes[i] or "–",
             metres(float(snapshot.position[i, 2])),
-            Text(f"{battery:.0%}" if np.isfinite(battery) else "–", "red" if battery < 0.2 else ""),
+            Text(
+                f"{battery:.0%}" if np.isfinite(battery) else "–",
+                "red" if battery < scene.EMPTY_BATTERY else "",
+            ),
             Text(f"{age:.1f} s" if np.isfinite(age) else "never", _age_style(age)),
             Text(metres(errors[i]), "bold yellow" if off else ""),
         )

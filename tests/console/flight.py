@@ -55,7 +55,7 @@ class FlightStub:
 
     @property
     def watched(self) -> bool:
-        """Whether anybody looks at the flight."""
+        """Whether a screen is attached to the flight."""
         return self._watched
 
     def request(self, request: str, author: str) -> str:

@@ -132,7 +132,8 @@ class VehicleAudit:
 class Auditor:
     """Audits a team of vehicles on the ground, through the links of a relay's team.
 
-    ``names`` are the system ids of the vehicles, with their autopilots. All methods block, so they
+    ``names`` are the system ids of the vehicles, with their autopilots; with ``fences``, which need
+    places on the earth, their fences are read too. All methods block, so they
     must not run in the loop's thread. They raise :class:`VehicleError` with the names of all
     vehicles that do not respond.
     """
@@ -141,6 +142,7 @@ class Auditor:
     names: Mapping[int, AutopilotName]
     demands: Requirements
     progress: ProgressCallback = lambda *_: None
+    fences: bool = False
     _reports: dict[int, VehicleReport] = field(default_factory=dict)
 
     def audit(self) -> list[VehicleAudit]:
@@ -148,7 +150,8 @@ class Auditor:
         vehicles = self._vehicles()
         for vehicle in vehicles.values():
             vehicle.parameters.fetch()
-            vehicle.fence.fetch()
+            if self.fences:
+                vehicle.fence.fetch()
         self._wait("parameters", lambda: _fetched(vehicles.values()))
         self._fetch_reports()
         return [self._vehicle_audit(system) for system in vehicles]
@@ -463,7 +466,10 @@ class _Check:
             for vehicle in self.listener.received
             if vehicle.autopilot is not None
         }
-        auditor = Auditor(self.survey.relay, names, self._demands(), self.options.progress)
+        auditor = Auditor(
+            self.survey.relay, names, self._demands(), self.options.progress,
+            fences=self.listener.fleet.frame == "gps",
+        )  # fmt: skip
         audits = auditor.audit()
         self.survey.relay.closed = True
         save_parameters(self.folder, audits)
@@ -481,7 +487,7 @@ class _Check:
         wanted = self._wanted_fence(order)
         if self.options.fence and wanted:
             changed += auditor.set_fences({audit.system: wanted for audit in audits})
-            changed += auditor.set(enabled_fences(audits))
+            changed += auditor.set(_enabled_fences(audits))
             audits = auditor.updated(audits)
         fences = [] if wanted is None else [audit.fence_finding(wanted) for audit in audits]
         hold = self._test_hold()
@@ -611,7 +617,7 @@ class _Check:
         return CheckReport(tuple(audits), tuple(links), tuple(changed), tuple(findings), order)
 
 
-def enabled_fences(audits: Sequence[VehicleAudit]) -> dict[int, dict[str, float]]:
+def _enabled_fences(audits: Sequence[VehicleAudit]) -> dict[int, dict[str, float]]:
     """Return the parameters by which each ArduPilot watches the polygon of its fence."""
     return {
         audit.system: {
