@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from swarm.console.launch import Address, Console, open_console
 from swarm.flight.conductor import Conductor
 from swarm.flight.responding import REQUESTS
 from swarm.flight.snapshot import Event, Snapshot
@@ -16,6 +17,10 @@ from swarm.ground.operator import ControlSocket, OperatorConsole
 from swarm.ground.record import Record
 from swarm.mission.fleet import emulated_fleet
 from tests.network import small_plan
+
+PATIENCE = 300.0
+"""Seconds for a process to start and to compile on a busy machine."""
+LOOPBACK = Address("127.0.0.1", 0)
 
 
 def snapshot(time_: float, **changed: Any) -> Snapshot:
@@ -102,3 +107,17 @@ def flying(folder: Path) -> Iterator[FlightStub]:
     finally:
         flight.end()
         thread.join()
+
+
+@contextmanager
+def flying_with_console(
+    folder: Path, address: Address = LOOPBACK
+) -> Iterator[tuple[FlightStub, Console]]:
+    """Fly with a console beside the block; the console ends by itself after its flight."""
+    with flying(folder) as flight, open_console(folder, address, None) as console:
+        try:
+            yield flight, console
+        finally:
+            flight.end()
+            code = console.process.wait(PATIENCE)
+    assert code == 0

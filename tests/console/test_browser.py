@@ -13,8 +13,7 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.sync_api import expect, sync_playwright
 
-from swarm.console.launch import Address, open_console
-from tests.console.flight import flying as stub
+from tests.console.flight import PATIENCE, flying_with_console
 
 SWARM = Path(sys.executable).with_name("swarm")
 HOVER = Path(__file__).parents[2] / "missions" / "first-steps" / "hover.yaml"
@@ -23,9 +22,6 @@ ARGUMENTS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
-PATIENCE = 300.0
-"""Seconds for a page to show something on a busy machine."""
-
 pytestmark = [
     pytest.mark.skipif(
         CHROMIUM is None, reason="no chromium on this machine: apt install chromium"
@@ -213,7 +209,7 @@ def test_two_browsers_command_a_flight(tmp_path, browser):
 
 
 def test_without_the_token_the_page_asks_for_it(tmp_path, browser):
-    with stub(tmp_path), open_console(tmp_path, Address("127.0.0.1", 0), None) as console:
+    with flying_with_console(tmp_path) as (_flight, console):
         address, _, token = console.url.partition("#")
         page, errors = page_of(browser, address, 390, "light")
         expect(page.locator("#login")).to_be_visible(timeout=1000.0 * PATIENCE)

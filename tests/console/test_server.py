@@ -15,10 +15,7 @@ from websockets.sync.client import connect
 from swarm.console.certificate import fingerprint, read_certificate, self_signed
 from swarm.console.launch import Address, open_console, parse_address
 from swarm.errors import InputError
-from tests.console.flight import flying
-
-PATIENCE = 300.0
-"""Seconds for a process to start and to compile on a busy machine."""
+from tests.console.flight import LOOPBACK, PATIENCE, flying_with_console
 
 
 class Client:
@@ -66,15 +63,9 @@ EVERYWHERE = Address("0.0.0.0", 0)  # noqa: S104 - what is tested
 
 
 @contextmanager
-def opened(tmp_path, address=Address("127.0.0.1", 0)):  # noqa: B008 - frozen
-    with ExitStack() as stack:
-        flight = stack.enter_context(flying(tmp_path))
-        console = stack.enter_context(open_console(tmp_path, address, None))
-        try:
-            yield stack, flight, console
-        finally:
-            flight.end()
-            assert console.process.wait(PATIENCE) == 0
+def opened(tmp_path, address=LOOPBACK):
+    with ExitStack() as stack, flying_with_console(tmp_path, address) as (flight, console):
+        yield stack, flight, console
 
 
 def until(condition):
@@ -204,7 +195,7 @@ def test_on_other_addresses_there_is_tls(tmp_path):
 
 
 def test_a_console_whose_flight_never_begins_ends_with_its_terminal(tmp_path):
-    with open_console(tmp_path, Address("127.0.0.1", 0), None) as console:
+    with open_console(tmp_path, LOOPBACK, None) as console:
         assert got(console.url)[0] == 200
     assert console.process.wait(PATIENCE) == 0
 
