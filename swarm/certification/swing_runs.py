@@ -156,7 +156,7 @@ class Wanted:
 
 class _Group(NamedTuple):
     """Courses (c, …) that are simulated together, with the numbers of their first states and the
-    strands that are wanted."""
+    strands (c, k, n − 1) that are wanted at compared moments."""
 
     course: Course
     times: Floats
@@ -277,7 +277,9 @@ def planned_swing(plan: Plan, span: tuple[float, float], *, finer: bool = False)
 
     states = tuple(side_by_side(states_of, strands))
     joints = [each[:, 1] for each in states]
-    strays = _strays(strands, joints, ends[::compared], model.links)
+    moments = ends[::compared]
+    every = np.ones((len(moments), len(plan.layout.lengths)), np.bool_)
+    strays = _strays(strands, joints, moments, model.links, every)
     return PlannedSwing(Swung(times[None, ::compared], strays[None], None), times, strands, states)
 
 
@@ -290,14 +292,13 @@ def swings_after(
 ) -> Iterator[Swung]:
     """Yield the swings after changes of the clock's rate, several courses together.
 
-    Strands that are not ``wanted`` at the times of these courses are not simulated: their strays
-    are 0. Courses that stay at rest, of which the last moments count, are followed to their end,
-    others until no strand is wanted any more.
+    Strands are followed as long as they are ``wanted`` at the times of these courses; their strays
+    at other times are 0.
     """
     limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
     strands, model = planned.strands, planned.strands[-1].model
     compared = steps_between_compared(model)
-    everywhere = np.ones(len(plan.layout.lengths), np.bool_)
+    segments = len(plan.layout.lengths)
 
     def beginnings(course: Course) -> Ints:
         first, apart = (
@@ -315,32 +316,40 @@ def swings_after(
             times = np.clip(_with_step(times, model.step), span[0], span[1])
             for first in range(0, len(chosen), _TOGETHER):
                 some = slice(first, first + _TOGETHER)
-                here, moved = everywhere, times[some]
-                if wanted is not None:
-                    at_moments = np.asarray(wanted.at(moved[:, ::compared]).any(axis=0))
-                    here = np.asarray(at_moments.any(axis=0))
-                    if course.target != 0.0 and here.any():
-                        last = np.flatnonzero(at_moments.any(axis=1))[-1]
-                        moved = moved[:, : last * compared + 1]
+                compared_times = times[some, ::compared]
+                here = (
+                    np.ones((*compared_times.shape, segments), np.bool_)
+                    if wanted is None
+                    else wanted.at(compared_times)
+                )
                 if here.any():
-                    yield _Group(course, moved, chosen[some] // compared, here)
+                    yield _Group(course, times[some], chosen[some] // compared, here)
 
     def swung(group: _Group) -> Swung:
         course, times = group.course, group.times
         ends = plan.motion.places(times)
         simulated, joints = [], []
+        samples = _last(group.wanted)
         for every, states in zip(strands, planned.states, strict=True):
-            here = np.flatnonzero(group.wanted[every.segments])
+            here = np.flatnonzero(samples[:, every.segments].any(axis=0))
             if not len(here):
                 continue
             some, begun = every.taken(here), states[group.first][:, :, here]
             moved = ends[:, :: round(some.model.step / model.step)]
-            joints.append(some.swing_on_each(begun, moved, steps_between_compared(some.model)))
+            steps = steps_between_compared(some.model)
+            joints.append(some.swing_on_each(begun, moved, steps, samples[:, some.segments]))
             simulated.append(some)
-        strays = _strays(simulated, joints, ends[:, ::compared], model.links)
+        strays = _strays(simulated, joints, ends[:, ::compared], model.links, group.wanted)
         return Swung(times[:, ::compared], strays, course)
 
     return side_by_side(swung, groups())
+
+
+def _last(wanted: Flags) -> Ints:
+    """Return the numbers (c, s) of moments up to the last of k that are wanted, (c, k, s)."""
+    count = wanted.shape[1]
+    found: Ints = np.where(wanted.any(axis=1), count - wanted[:, ::-1].argmax(axis=1), 0)
+    return found
 
 
 def _with_step(times: Floats, step: float) -> Floats:
@@ -361,20 +370,20 @@ def _times(span: tuple[float, float], step: float) -> Floats:
 
 
 def _strays(
-    strands: Sequence[Strands], joints: Sequence[Floats], ends: Floats, links: int
+    strands: Sequence[Strands], joints: Sequence[Floats], ends: Floats, links: int, wanted: Flags
 ) -> Floats:
     """Return the strays (…, n − 1, links + 1, 3) of joints from their catenaries, metres.
 
     ``joints`` (…, s, …, 3) are those of each of ``strands``; the strays of fewer links are
-    interpolated where there is no joint. Those of segments with no strand are 0.
+    interpolated where there is no joint. Those that are not ``wanted`` (…, n − 1) are 0.
     """
     count = ends.shape[-2] - 1
-    every = sum(len(some.segments) for some in strands) == count
-    found = (np.empty if every else np.zeros)((*ends.shape[:-2], count, links + 1, 3))
+    found = (np.empty if wanted.all() else np.zeros)((*ends.shape[:-2], count, links + 1, 3))
     for some, swung in zip(strands, joints, strict=True):
         held = Held(some.segments, contiguous(some.lengths), some.segments)
         places = contiguous(ends.reshape(-1, *ends.shape[-2:]))
-        subtract_catenaries(places, held, _moments(swung), _moments(found))
+        which = np.flatnonzero(wanted[..., some.segments])
+        subtract_catenaries(places, held, _moments(swung), which, _moments(found))
     return found
 
 

@@ -149,7 +149,8 @@ def strays_of(joints: Floats, ends: Floats, segments: Ints, lengths: Floats) -> 
         segments, contiguous(np.asarray(lengths, dtype=np.float64)), np.arange(len(segments))
     )
     found = np.empty(joints.shape)
-    subtract_catenaries(contiguous(ends), whole, contiguous(joints), found)
+    every = np.arange(joints.shape[0] * joints.shape[1])
+    subtract_catenaries(contiguous(ends), whole, contiguous(joints), every, found)
     return found
 
 
@@ -163,11 +164,14 @@ class _Memory(NamedTuple):
     strays: Floats2
 
 
-def subtract_catenaries(ends: Floats, held: Held, joints: Floats, found: Floats) -> None:
+def subtract_catenaries(
+    ends: Floats, held: Held, joints: Floats, wanted: Ints, found: Floats
+) -> None:
     """Write the strays of joints (m, s, links + 1, 3) to rows of ``found`` (m, r, joints, 3).
 
     That has as many joints in each row, or a multiple of the links; strays are interpolated within
-    links there. ``ends`` (m, n, 3) are the grip points.
+    links there. ``ends`` (m, n, 3) are the grip points. Only those of strands and moments whose
+    numbers, moment · s + strand, are ``wanted`` are written.
     """
     count = joints.shape[2]
     offsets = offsets_memory(count)
@@ -176,23 +180,23 @@ def subtract_catenaries(ends: Floats, held: Held, joints: Floats, found: Floats)
         np.linspace(0.0, 1.0, count), Arcs(*np.empty((3, together))),
         Vectors(*np.empty((3, together, 3))), offsets, np.empty((count, 3)),
     )  # fmt: skip
-    _write_strays(ends, held, joints, memory, found)
+    _write_strays(ends, held, joints, wanted, memory, found)
 
 
 @compiled
 def _write_strays(
-    ends: Floats3, held: Held, joints: Floats4, memory: _Memory, found: Floats4
+    ends: Floats3, held: Held, joints: Floats4, wanted: Ints1, memory: _Memory, found: Floats4
 ) -> None:
     """Write the strays, many strands together."""
     fractions, arcs, vectors, offsets, own = memory
     count, together, row = len(held.segments), len(arcs.length), len(fractions) + 1
-    for begin in range(0, len(ends) * count, together):
-        some = min(together, len(ends) * count - begin)
+    for begin in range(0, len(wanted), together):
+        some = min(together, len(wanted) - begin)
         for q in range(some):
-            _solve(ends, held, begin + q, arcs, vectors, q)
+            _solve(ends, held, wanted[begin + q], arcs, vectors, q)
         write_offsets(fractions, arcs, (0, some), offsets)
         for q in range(some):
-            moment, strand = divmod(begin + q, count)
+            moment, strand = divmod(wanted[begin + q], count)
             here = slice(q * row + 1, (q + 1) * row)
             moved = offsets.angles[here], offsets.heights[here]
             there = found[moment, held.rows[strand]]
@@ -295,40 +299,49 @@ class Steps(NamedTuple):
     every: int
 
 
+class Runs(NamedTuple):
+    """Strands (r,) in motions (r,), and how many of the ``samples`` (r,) of each are wanted."""
+
+    motion: Ints1
+    strand: Ints1
+    samples: Ints1
+
+
 @compiled
 @allocates
 def swing_each(
-    given: tuple[Floats5, Floats4, Ints1], lengths: Floats1, steps: Steps, drag: Drag,
+    given: tuple[Floats5, Floats4, Ints1], lengths: Floats1, steps: Steps, drag: Drag, runs: Runs,
     found: Floats6,
 ) -> None:  # fmt: skip
     """Write the states of s strands in c motions to ``found`` (c, …, 1 or 2, s, joints, 3), after
-    the first ones.
+    the first ones: those of ``runs``, of which those next to each other run together.
 
     ``given`` are the first states (c, 2, s, joints, 3), the positions (c, n, k, 3) of the grip
     points, and the numbers (s,) of those at which strands begin; ``lengths`` (s,) those of the
     links. With 1, only the last part of each state is written, the joints at that time.
     """
-    count, total = len(found), len(found) * len(lengths)
     motion, strand = np.empty(TOGETHER, np.int64), np.empty(TOGETHER, np.int64)
     rows, most = np.zeros((found.shape[4], _FIELDS, TOGETHER)), np.empty(TOGETHER)
     memory = rows, most, np.empty((2, 3, TOGETHER))
-    for first in range(0, total, TOGETHER):
-        # next to each other: motions of the same strand, which need about as many iterations
+    for first in range(0, len(runs.motion), TOGETHER):
+        samples = 0
         for w in range(TOGETHER):
-            which = min(first + w, total - 1)
-            strand[w], motion[w] = which // count, which % count
+            run = min(first + w, len(runs.motion) - 1)
+            motion[w], strand[w] = runs.motion[run], runs.strand[run]
+            samples = max(samples, runs.samples[run])
         rows[:] = 0.0
-        _swing_together(given, lengths, steps, drag, (motion, strand), memory, found)
+        _swing_together(given, lengths, steps, drag, (motion, strand), samples, memory, found)
 
 
 @inner
 def _swing_together(
-    given: Given, lengths: Floats, steps: Steps, drag: Drag, chosen: Chosen, memory: Memory,
-    found: Floats,
+    given: Given, lengths: Floats, steps: Steps, drag: Drag, chosen: Chosen, samples: int,
+    memory: Memory, found: Floats,
 ) -> None:  # fmt: skip
     """Write the states of the strands ``chosen`` by the numbers of their motions and their own.
 
-    ``memory`` are rows of zeros, errors, and the places (2, 3, …) of both ends.
+    They end with the last of the ``samples``, of which the first is given. ``memory`` are rows of
+    zeros, errors, and the places (2, 3, …) of both ends.
     """
     begun, ends, segments = given
     motion, strand = chosen
@@ -342,7 +355,7 @@ def _swing_together(
             for x in range(3):
                 rows[i, _NOW + x, w] = begun[motion[w], 0, strand[w], i, x]
                 rows[i, _AFTER + x, w] = begun[motion[w], 1, strand[w], i, x]
-    for k in range(1, ends.shape[2]):
+    for k in range(1, (samples - 1) * steps.every + 1):
         for w in range(TOGETHER):
             grips = ends[motion[w]]
             for x in range(3):
@@ -626,13 +639,16 @@ class Strands:
         found: Floats = self._swing(state[None], ends[None], every, 2)[0]
         return found
 
-    def swing_on_each(self, states: Floats, ends: Floats, every: int = 1) -> Floats:
+    def swing_on_each(
+        self, states: Floats, ends: Floats, every: int = 1, samples: Ints | None = None
+    ) -> Floats:
         """Return the joints of the strands from c states, each in its own motion.
 
         ``states`` (c, 2, s, links + 1, 3) and ``ends`` (c, k, n, 3) as for :meth:`swing_on`.
-        Returns (c, ceil(k / every), s, links + 1, 3).
+        Returns (c, ceil(k / every), s, links + 1, 3); with ``samples`` (c, s), only as many of each
+        strand are written.
         """
-        found: Floats = self._swing(states, ends, every, 1)[:, :, 0]
+        found: Floats = self._swing(states, ends, every, 1, samples)[:, :, 0]
         return found
 
     def strays(self, joints: Floats, ends: Floats) -> Floats:
@@ -647,15 +663,24 @@ class Strands:
         distance: Floats = norms(strays_of(joints, ends, segments, lengths)).max(axis=-1)
         return np.where((chords > lengths) | np.isnan(distance), np.inf, distance)
 
-    def _swing(self, states: Floats, ends: Floats, every: int, parts: int) -> Floats:
+    def _swing(
+        self, states: Floats, ends: Floats, every: int, parts: int, samples: Ints | None = None
+    ) -> Floats:
         """Return the last ``parts`` of the states (c, ceil(k / every), …, s, links + 1, 3)."""
         model = self.model
-        samples = (ends.shape[1] + every - 1) // every
-        found = np.empty((len(states), samples, parts, *states.shape[2:]))
+        most = (ends.shape[1] + every - 1) // every
+        found = np.empty((len(states), most, parts, *states.shape[2:]))
         found[:, 0] = states[:, 2 - parts :]
         drag = Drag(model.normal_drag, model.tangential_drag, *model.wind)
         # those of one grip point next to each other: others would fill the caches
         grips = np.ascontiguousarray(ends.swapaxes(1, 2))
         given = np.ascontiguousarray(states), grips, self.segments
-        swing_each(given, self.lengths / model.links, Steps(model.step, every), drag, found)
+        if samples is None:
+            samples = np.full((len(states), len(self.segments)), most)
+        # next to each other: runs of a strand, which need about as many iterations, by their length
+        strand, motion = np.nonzero(samples.T > 1)
+        order = np.lexsort((samples[motion, strand], strand))
+        motion, strand = motion[order], strand[order]
+        runs = Runs(motion, strand, samples[motion, strand])
+        swing_each(given, self.lengths / model.links, Steps(model.step, every), drag, runs, found)
         return found

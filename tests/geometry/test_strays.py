@@ -34,7 +34,7 @@ def test_strays_of_few_links_are_interpolated_in_rows_of_more() -> None:
     ends, lengths, joints = team(3, 5, 4)
     found = np.full((5, 3, 13, 3), np.nan)
     held = Held(np.array([2, 0]), lengths[[2, 0]], np.array([1, 2]))
-    subtract_catenaries(ends, held, joints[:, :2].copy(), found)
+    subtract_catenaries(ends, held, joints[:, :2].copy(), np.arange(2 * len(ends)), found)
     own = strays_of(joints[:, :2].copy(), ends, np.array([2, 0]), lengths[[2, 0]])
     assert np.isnan(found[:, 0]).all()
     places = np.linspace(0.0, 4.0, 13)
