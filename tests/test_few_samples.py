@@ -26,10 +26,10 @@ from swarm.reports.flight import flight_report, outcome_object, print_outcome
 from swarm.reports.layout_sheet import layout_sheet
 from swarm.reports.plan import plan_report
 from swarm.reports.plots import flight_figure
+from swarm.rope import planned_grips, simulate_rope
 from swarm.simulation.spread import Spread, draw
 from swarm.verification import verify_trace
 from swarm.view.replay import write_flight, write_plan
-from swarm_rope import planned_grips, simulate_rope
 from tests.shared import shared
 
 FIRST_STEPS = Path(__file__).parents[1] / "missions" / "first-steps"

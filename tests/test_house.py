@@ -9,11 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-SOURCES = sorted(
-    path
-    for name in ("swarm", "sitl", "swarm_knot_table", "swarm_rope")
-    for path in (ROOT / name).rglob("*.py")
-)
+SOURCES = sorted(path for name in ("swarm", "sitl") for path in (ROOT / name).rglob("*.py"))
 REASONED = ("geometry", "certification", "folding", "planning", "planner", "flight")
 """Packages of `swarm` in which every numeric constant of a module has its reason beside it."""
 

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 
 def circles() -> list[set[str]]:
     """Return the strongly connected components, of two modules or more, of all imports."""
-    graph = grimp.build_graph("swarm", "sitl", "swarm_knot_table", "swarm_rope", cache_dir=None)
+    graph = grimp.build_graph("swarm", "sitl", cache_dir=None)
     names = sorted(graph.modules)
     index = {name: k for k, name in enumerate(names)}
     edges = [

@@ -13,7 +13,7 @@ from swarm.mission import mission_for_knot
 from swarm.planning import KnotLayout, KnotSummary, Plan
 from tests.network import small_plan
 
-rope = pytest.importorskip("swarm_rope.simulation")
+rope = pytest.importorskip("swarm.rope.simulation")
 
 PLAN = small_plan(vehicles=3).plan
 

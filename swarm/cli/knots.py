@@ -182,7 +182,7 @@ def knots(
 
 def _check_table(as_json: bool) -> int:
     """Check the table with a progress bar, print the result, and return the exit code."""
-    from swarm_knot_table import check_table  # noqa: PLC0415 - no other command needs it
+    from swarm.knot_table import check_table  # noqa: PLC0415 - no other command needs it
 
     checks = list(
         track(

@@ -71,7 +71,11 @@ def rope(
     refuse_option_conflicts(options, {"truth": ("flown",)}, [("compare", "flown")])
     planned = given.source().planned()
     try:
-        import swarm_rope  # noqa: PLC0415 - an optional extra
+        from swarm.rope import (  # noqa: PLC0415 - an optional extra
+            flown_grips,
+            planned_grips,
+            simulate_rope,
+        )
     except ImportError:
         raise SwarmError("a rope needs MuJoCo: pip install 'swarm-ground-station[rope]'") from None
     plan = planned.plan
@@ -79,17 +83,17 @@ def rope(
         plan = recorded_plan(flown)
         log = recorded_flight(flown, plan)
         trace = true_trace(flown, log) if truth else log.trace
-        trajectories = [("as flown", plan, swarm_rope.flown_grips(trace, str(flown)))]
+        trajectories = [("as flown", plan, flown_grips(trace, str(flown)))]
     else:
-        trajectories = [("this plan", plan, swarm_rope.planned_grips(plan))]
+        trajectories = [("this plan", plan, planned_grips(plan))]
     if compare:
         paper = plan_paper_trajectory(plan.mission).plan
-        trajectories.append((PAPER, paper, swarm_rope.planned_grips(paper)))
+        trajectories.append((PAPER, paper, planned_grips(paper)))
     runs = []
     for name, moved, grips in trajectories:
         with progress_bar(Console(stderr=True)) as progress:
             runs.append(
-                swarm_rope.simulate_rope(
+                simulate_rope(
                     moved,
                     grips,
                     name,

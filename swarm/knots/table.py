@@ -1,4 +1,4 @@
-"""The table of the 249 prime knots to ten crossings, from ``python -m swarm_knot_table``."""
+"""The table of the 249 prime knots to ten crossings, from ``python -m swarm.knot_table``."""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache

@@ -13,7 +13,7 @@ from swarm.knots.invariants import Identification
 from swarm.knots.names import COMMON_NAMES
 
 if TYPE_CHECKING:
-    from swarm_knot_table import TableCheck
+    from swarm.knot_table import TableCheck
 
 _BENDS: Final = {
     (True, True): "└",

@@ -30,7 +30,7 @@ from swarm.simulation.summaries import CertifiedClearances
 from swarm.simulation.trials import Trial
 
 if TYPE_CHECKING:
-    from swarm_rope import RopeRun
+    from swarm.rope import RopeRun
 
 Floats = npt.NDArray[np.float64]
 

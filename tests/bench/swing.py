@@ -18,7 +18,7 @@ from swarm.certification.swing_tube import SwingTube
 from swarm.geometry.lumped_mass import cable_model
 from swarm.mission import parse_mission
 from swarm.planning import Plan
-from swarm_rope import planned_grips, simulate_rope
+from swarm.rope import planned_grips, simulate_rope
 from tests.geometry.swinging import stray, swing
 
 MISSIONS = Path(__file__).parents[2] / "missions"

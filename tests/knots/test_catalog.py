@@ -2,6 +2,8 @@
 
 import pytest
 
+from swarm.knot_table import check_knot
+from swarm.knot_table.tabulation import AMPHICHIRAL, diagram_of_conway, table_line, tabulate_knot
 from swarm.knots.catalog import choose_knot, lookup_knot, table_names
 from swarm.knots.diagram import Diagram
 from swarm.knots.gauss import KnotError
@@ -9,8 +11,6 @@ from swarm.knots.grid import Grid, mirrored, openings
 from swarm.knots.grid_search import GridWalk
 from swarm.knots.invariants import chirality_sign, identify_diagram, jones_polynomial
 from swarm.knots.table import knot_table, read_line
-from swarm_knot_table import check_knot
-from swarm_knot_table.tabulation import AMPHICHIRAL, diagram_of_conway, table_line, tabulate_knot
 from tests.knots.curves import knotinfo, of_knotinfo
 
 OVERHAND = "1- 2+ 3- 1+ 2- 3+"

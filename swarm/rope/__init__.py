@@ -4,7 +4,7 @@ No part of the certificate. One function moves a rope: :func:`simulate_rope`, by
 that :func:`planned_grips` or :func:`flown_grips` return.
 """
 
-from swarm_rope.model import Grips
-from swarm_rope.simulation import RopeRun, flown_grips, planned_grips, simulate_rope
+from swarm.rope.model import Grips
+from swarm.rope.simulation import RopeRun, flown_grips, planned_grips, simulate_rope
 
 __all__ = ["Grips", "RopeRun", "flown_grips", "planned_grips", "simulate_rope"]

@@ -33,7 +33,7 @@ from swarm.geometry.distance import strand_strand
 from swarm.knots.curve import curve_gauss
 from swarm.knots.invariants import identify_curve
 from swarm.planning import Plan
-from swarm_rope.model import STEP, TIGHTENING_STEP, Conditions, Extremes, Grips, Rope
+from swarm.rope.model import STEP, TIGHTENING_STEP, Conditions, Extremes, Grips, Rope
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]

@@ -1,4 +1,4 @@
-"""The table of knots, made from Conway's notation: ``python -m swarm_knot_table`` writes it.
+"""The table of knots, made from Conway's notation: ``python -m swarm.knot_table`` writes it.
 
 The names and Conway notations in ``conway.txt`` are those of Rolfsen's table (Conway 1970, Rolfsen
 1976) without the second knot of the Perko pair, numbered as in KnotInfo. The diagrams, chiralities,
@@ -367,7 +367,7 @@ def _written(polynomial: Laurent) -> str:
 
 def main() -> None:
     """Write the table to the package that reads it."""
-    text = resources.files("swarm_knot_table").joinpath("conway.txt").read_text(encoding="utf-8")
+    text = resources.files("swarm.knot_table").joinpath("conway.txt").read_text(encoding="utf-8")
     lines = []
     for entry in text.splitlines():
         name, notation = entry.split()
