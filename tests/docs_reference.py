@@ -27,7 +27,10 @@ _GENERATED = (
 _TITLES = {
     "mission": ("Mission files", "`swarm plan`, `swarm fly`, `swarm dry-run` and others"),
     "fleet": ("Fleet files", "`swarm plan`, `swarm check` and `swarm fly` with `--fleet`"),
-    "scenario": ("Scenario files", "`swarm trials --scenario` and `swarm sitl --scenario`"),
+    "scenario": (
+        "Scenario files",
+        "`swarm trials --scenario`, `swarm fly --scenario` and `swarm sitl --scenario`",
+    ),
     "world": ("World files", "`swarm sitl --world`"),
 }
 """Kind of file → title of its page, and what reads it."""

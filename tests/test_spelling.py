@@ -73,7 +73,7 @@ def test_two_purposes_at_once_are_refused():
             ["trials", HOVER, "--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"],
             "--jobs and --scheduler do not go together",
         ),
-        (["dry-run", HOVER, "--scenario", "s"], "--scenario needs --trial"),
+        (["fly", "--resume", "r", "--scenario", "s"], "--resume and --scenario do not go together"),
         (
             ["dry-run", HOVER, "--scenario", "s", "--trial", "0", "--no-cable"],
             "--no-cable and --trial do not go together",

@@ -1,5 +1,6 @@
 """``swarm dry-run``: one simulated flight of a mission, in virtual time."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -14,7 +15,7 @@ from swarm.cli.inputs import (
     print_json,
     refuse_option_conflicts,
 )
-from swarm.cli.planning import Given, prepare_flight, with_mission
+from swarm.cli.planning import Given, load_training, prepare_flight, with_mission
 from swarm.files import write_text
 from swarm.flight.setup import FlightOptions
 from swarm.mission.fleet import emulated_fleet
@@ -46,7 +47,7 @@ from swarm.verification import verify_trace
 @click.option(
     "--scenario",
     type=FILE,
-    help="With --trial: distributions of the conditions, and faults (YAML).",
+    help="Faults to inject (YAML); with --trial, distributions of the conditions too.",
 )
 @click.pass_context
 def dry_run(
@@ -65,7 +66,8 @@ def dry_run(
     """Simulate a flight of MISSION (a mission or plan file, or the name of a knot) in virtual time.
 
     The flight software flies the built-in emulator; the same seed gives the same flight. swarm
-    trials flies many, each under other conditions; --trial repeats one of them.
+    trials flies many, each under other conditions; --trial repeats one of them. With --scenario
+    the team meets its faults without an operator, as a rehearsal of `swarm fly --scenario`.
 
     Exit code 0 if the flight is completed and implies the planned knot; 1 if the plan is refused
     or the knot is another one; 3 if a vehicle failed.
@@ -73,10 +75,13 @@ def dry_run(
     Example: swarm dry-run missions/overhand.yaml --report flight.html
     """
     refuse_option_conflicts(
-        {"cable": cable, "no_cable": no_cable, "trial": trial, "scenario": scenario},
-        {"scenario": ("trial",)},
+        {"cable": cable, "no_cable": no_cable, "trial": trial},
+        {},
         [("cable", "no_cable"), ("cable", "trial"), ("no_cable", "trial")],
     )
+    rehearsed = None
+    if scenario is not None and trial is None:
+        rehearsed = load_training(scenario, Console(quiet=given.as_json))
     planned = given.source(flight=True).planned()
     given.require_cleared(context, planned)
     prepare_flight()
@@ -85,13 +90,16 @@ def dry_run(
         callbacks = Callbacks(on_snapshot=screen.show, on_event=screen.event)
         if trial is None:
             fleet = emulated_fleet(plan.vehicles, seed=seed, cable=cable or "swinging")
+            training = rehearsed.training(fleet.systems) if rehearsed is not None else None
             result = simulate_flight(
                 flight_plan,
                 fleet=fleet,
                 seed=seed,
+                faults=rehearsed.faults if rehearsed is not None else (),
                 options=FlightOptions(no_cable=no_cable),
                 callbacks=callbacks,
             )
+            result = replace(result, training=training)
         else:
             from swarm.front.trials import load_scenario  # noqa: PLC0415 - slow to import
             from swarm.simulation.trials import fly_trial  # noqa: PLC0415

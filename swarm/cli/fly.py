@@ -35,13 +35,14 @@ from swarm.cli.inputs import (
     Address,
     refuse_option_conflicts,
 )
-from swarm.cli.planning import load_source, prepare_flight, require_cleared
+from swarm.cli.planning import load_source, load_training, prepare_flight, require_cleared
 from swarm.errors import InputError, Problem, Refused
 from swarm.flight.bench_flight import RAISED, raised
 from swarm.flight.flight_plan import Audit, ResumedFlight, confirmed_basis
 from swarm.flight.result import FlightResult
 from swarm.flight.setup import LOOSE_ERROR
 from swarm.flight.tlog import Then, left_off
+from swarm.flight.training import require_emulated
 from swarm.front.files import load_fleet
 from swarm.ground.flight_process import FlightRequest, fly_in_process
 from swarm.ground.fly import FlightCallbacks, FlyOptions, Unattended
@@ -161,6 +162,7 @@ class Options:
     unattended: Unattended
     console: str | None
     console_certificate: Path | None
+    scenario: Path | None
 
     def refuse_with_resume(self) -> None:
         """Raise :class:`InputError` for options whose values come from the resumed record."""
@@ -267,6 +269,12 @@ class Options:
 )
 @CONSOLE
 @CONSOLE_CERTIFICATE
+@click.option(
+    "--scenario",
+    type=FILE,
+    help="Training: inject the faults of this scenario file (YAML) into emulated vehicles; the "
+    "report has the times of detection and of the operator's reaction.",
+)
 @click.pass_context
 def fly(context: click.Context, /, **options: Any) -> None:
     """Plan MISSION (a mission or plan file, or the name of a knot), check the plan, and fly it.
@@ -283,6 +291,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
     """
     given = Options(**options)
     if given.resume is not None:
+        refuse_option_conflicts(options, {}, [("resume", "scenario")])
         given.refuse_with_resume()
         require_clock(given.clock)
         folder = given.record or new_record_folder(_FLIGHTS, f"{given.resume.name}-resumed")
@@ -309,12 +318,16 @@ def fly(context: click.Context, /, **options: Any) -> None:
     refuse_option_conflicts(options, _NEEDS, [])
     require_clock(given.clock)
     fleet = load_fleet(given.fleet) if given.fleet else None
+    console = Console(quiet=given.as_json)
+    scenario = None
+    if given.scenario is not None:
+        require_emulated(fleet)
+        scenario = load_training(given.scenario, console)
     source = load_source(
         given.mission, given.overrides, replan=given.replan, flight=True, fleet=fleet
     )
     if given.mocap and fleet is not None and fleet.frame != "shared":
         raise InputError(f"--mocap: expected a fleet with frame: shared, got {fleet.frame}")
-    console = Console(quiet=given.as_json)
     if fleet is not None and isinstance(source.given, Mission):
         require_fleet(source.given, fleet)
     planned = source.planned()
@@ -325,6 +338,8 @@ def fly(context: click.Context, /, **options: Any) -> None:
     flight_plan = raised(planned.certified(), team, no_cable=given.no_cable)
     if flight_plan.plan is not planned.plan:
         console.print(_RAISED_FLIGHT, style="dim", highlight=False, soft_wrap=True)
+    systems = team.systems[: planned.plan.vehicles]
+    training = scenario.training(systems) if scenario is not None else None
     folder = given.record or new_record_folder(_FLIGHTS, planned.plan.mission.name)
     control = control_socket(folder)
     flight = FlightRequest(
@@ -333,6 +348,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
             speed=given.speed, no_cable=given.no_cable, control=control, forward=given.forward,
             firmware=given.firmware, positioning=given.positioning or "rtk", mocap=given.mocap,
             rtcm=given.rtcm, world_clock=given.clock, unattended=given.unattended,
+            training=training,
         ),
         confirm=True,
     )  # fmt: skip

@@ -3,7 +3,8 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import wraps
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console
@@ -19,6 +20,9 @@ from swarm.mission.fleet import Fleet, mission_for
 from swarm.planning.searched_foldings import may_search
 from swarm.reports.plan import plan_verdict, print_plan_summary
 from swarm.reports.result import print_verdict
+
+if TYPE_CHECKING:
+    from swarm.simulation.training import Scenario
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,17 @@ def with_mission(*, verbose: bool = True) -> Callable[[Callable[..., None]], Cal
         return packed
 
     return decorated
+
+
+def load_training(path: Path, console: Console) -> "Scenario":
+    """Return the scenario of a training flight; what it has for trials is not flown, and said."""
+    from swarm.simulation.training import read_training  # noqa: PLC0415 - slow to import
+
+    scenario = read_training(path)
+    if scenario.spreads:
+        words = f"{path}: spread is for swarm trials; this flight has the scenario's faults alone"
+        console.print(words, style="dim", highlight=False, markup=False, soft_wrap=True)
+    return scenario
 
 
 def refuse_with_plan_file(name: str, options: Mapping[str, object]) -> None:

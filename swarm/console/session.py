@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from swarm.errors import printable
-from swarm.flight.responding import REQUESTS
+from swarm.flight.requests import REQUESTS
 from swarm.ground.operator import CONFIRMATION
 
 LARGEST_MESSAGE: Final = 1024

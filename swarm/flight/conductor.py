@@ -36,7 +36,8 @@ from swarm.flight.observing import follow_swing, monitor, observe
 from swarm.flight.parameters import stream_loss_model
 from swarm.flight.preparation import Preparation
 from swarm.flight.reporting import record_sample, snapshot_of, statistics_of
-from swarm.flight.responding import Availability, Request, available, request, respond
+from swarm.flight.requests import Request
+from swarm.flight.responding import Availability, available, request, respond
 from swarm.flight.result import Outcome, Statistics
 from swarm.flight.router import Address, Outgoing, Team
 from swarm.flight.setup import FlightOptions, Setup, setup_of

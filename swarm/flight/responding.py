@@ -1,7 +1,7 @@
 """From a detected failure, or a command of the operator, to what the team does about it."""
 
 from collections.abc import Callable, Mapping
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 from swarm.flight.contingency import (
     leave_the_plan,
@@ -13,6 +13,7 @@ from swarm.flight.detect import STALLED
 from swarm.flight.failures import OPERATOR, Failure, Finding, HoldCause, Recovery, Response
 from swarm.flight.observing import shift_frame
 from swarm.flight.pace import rewind_limit
+from swarm.flight.requests import REQUESTS, Request, request_words
 from swarm.flight.stages import Stage
 from swarm.flight.state import FlightState
 from swarm.flight.streams import outside, rejoin
@@ -74,12 +75,6 @@ def _with_cause(flight: FlightState, failure: Failure) -> str:
     return "; ".join([*causes, failure.message])
 
 
-Request = Literal[
-    "hold", "resume", "rewind", "land", "release", "rejoin", "abort", "kill", "interrupt"
-]
-REQUESTS: tuple[Request, ...] = get_args(Request)
-
-
 class Availability(NamedTuple):
     """Whether a command is possible now; its effect, or the reason against it."""
 
@@ -91,8 +86,7 @@ def request(flight: FlightState, command: Request, author: str = "") -> str:
     """Carry out a command of an operator, the ``author``, where it is possible; return its effect
     in words."""
     answer = available(flight)[command]
-    by = f" by {author}" if author else ""
-    flight.report("operator", f"{command}{by}: {answer.words}")
+    flight.report("operator", request_words(command, author, answer.words))
     if answer.open:
         _COMMANDS[command].act(flight)
     return answer.words

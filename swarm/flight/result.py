@@ -12,6 +12,7 @@ from swarm.flight.flight_plan import Basis
 from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
+from swarm.flight.training import Training
 from swarm.planning import Plan
 
 _CERTIFIED_PHASES = frozenset({"lifting", "aloft"})
@@ -140,7 +141,8 @@ class Statistics:
 class FlightResult:
     """A flight: outcome, trace, events, statistics, and the folder of its record.
 
-    ``basis`` is the basis on which it was flown, ``adherence`` its errors against that.
+    ``basis`` is the basis on which it was flown, ``adherence`` its errors against that,
+    ``training`` the faults that were injected.
     """
 
     outcome: Outcome
@@ -150,6 +152,7 @@ class FlightResult:
     basis: Basis
     adherence: Adherence
     record: Path | None = None
+    training: Training | None = None
 
     def error(self) -> SwarmError | None:
         """Return the error with which the flight ended; None after a complete flight.

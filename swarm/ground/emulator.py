@@ -47,16 +47,20 @@ class EmulatorProcess:
         signing_key: str | None = None,
         timeout: float = START_TIMEOUT,
         firmware: RealFirmware | None = None,
+        scenario: Mapping[str, Any] | None = None,
     ) -> None:
         """Write the world file and start; the vehicles send to UDP ``port`` on loopback.
 
         ``clock`` has the time of the world; with ``firmware``, the record has its ground truth.
+        ``scenario`` has the faults that happen in the world.
         Raises :class:`VehicleError` if it ends, or is not ready within ``timeout`` seconds.
         """
         path, clock = folder / "world.json", folder.absolute() / "clock.bin"
         self._errors = folder / "emulator.txt"
         try:
             path.write_text(json.dumps(world, indent=1))
+            if scenario is not None:
+                (folder / "scenario.json").write_text(json.dumps(scenario, indent=1))
             create_clock(clock)
             self.clock = WorldClock(clock, speed)
             errors = self._errors.open("wb")
@@ -66,6 +70,8 @@ class EmulatorProcess:
         command += ["--target", f"127.0.0.1:{port}", "--clock", str(clock)]
         if signing_key is not None:
             command += ["--signing-key", signing_key]
+        if scenario is not None:
+            command += ["--scenario", str(folder / "scenario.json")]
         if firmware is not None:
             command += ["--firmware", firmware.selection, "--positioning", firmware.positioning]
             command += ["--firmware-folder", str(folder.absolute() / "firmware")]

@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from types import FrameType
@@ -30,12 +30,13 @@ from swarm.flight.parameters import (
     stream_loss_findings,
     stream_loss_model,
 )
-from swarm.flight.responding import Request
+from swarm.flight.requests import ABSENCE, Request
 from swarm.flight.result import FlightResult, adherence
 from swarm.flight.setup import FlightOptions
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.tlog import ClockEncoder, LeftOff, Then
 from swarm.flight.trace import Trace
+from swarm.flight.training import Training, require_emulated
 from swarm.flight.world import emulated_world
 from swarm.ground.commissioning.check import Auditor, save_parameters, wanted_fence
 from swarm.ground.corrections import open_corrections
@@ -284,7 +285,7 @@ class TickTasks:
         )
         if conductor.available()[command].open:
             self._due = False
-            conductor.request(command, "the absence of screens")
+            conductor.request(command, ABSENCE)
 
     def _show(self, item: Snapshot | Event) -> None:
         self.publish(item)
@@ -355,6 +356,7 @@ class FlyOptions:
     - ``world_clock``: file with the time of a world in another process (``swarm sitl --clock``),
       which the flight follows instead of the wall clock.
     - ``unattended``: what the team does when the last screen of the flight is gone.
+    - ``training``: the faults that the emulator injects.
     """
 
     speed: float = 1.0
@@ -371,6 +373,7 @@ class FlyOptions:
     rtcm: str | None = None
     world_clock: Path | None = None
     unattended: Unattended = "hold"
+    training: Training | None = None
 
 
 def fly(
@@ -451,7 +454,10 @@ def fly(
             loop.run()
             tasks.run(conductor.now)
         record.close()
-        result = _result(conductor, emulator, loop, tuple(tasks.events), record)
+        result = replace(
+            _result(conductor, emulator, loop, tuple(tasks.events), record),
+            training=_training(options, started),
+        )
         record.after(result)
         return result
 
@@ -461,6 +467,8 @@ def _refuse_unflyable(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions
         raise Refused("a comparison is flown by swarm dry-run only: its plan is not certified")
     if fleet.emulated is None and options.speed != 1.0:
         raise Refused("only emulated vehicles fly faster or slower than real time")
+    if options.training is not None:
+        require_emulated(fleet)
     if fleet.emulated is not None and options.world_clock is not None and options.left is None:
         raise Refused("the built-in emulator keeps its own clock: --clock is for other worlds")
 
@@ -470,17 +478,28 @@ def _conductor(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions) -> Co
     conductor = Conductor(flight_plan, fleet, setup, left=options.left, then=options.then)
     if options.left is None:
         require_tracking(conductor.basis, fleet)
+    if options.training is not None:
+        conductor.report("training", options.training.words)
     precompile.load()
     return conductor
 
 
+def _training(options: FlyOptions, started: float | None) -> Training | None:
+    """Return the training with times since the record began, ``started`` on the world's clock."""
+    if options.training is None or started is None:
+        return None
+    return options.training.recorded_from(started * options.speed)
+
+
 def _facts(options: FlyOptions, record: Record, started: float | None) -> dict[str, Any]:
     """Return what a record says about its flight; ``started`` on the clock of its world."""
+    training = _training(options, started)
     return {
         "speed": options.speed,
         "no_cable": options.no_cable,
         "start_time": record.start_time,
         "world_start": started * options.speed if started is not None else None,
+        "training": asdict(training) if training is not None else None,
     }
 
 
@@ -543,7 +562,10 @@ def _start_emulator(
     if options.firmware is not None:
         mocap = bridge.capture.port if bridge is not None else None
         firmware = RealFirmware(options.firmware, options.positioning, mocap)
-    return EmulatorProcess(world, folder, port, options.speed, fleet.signing_key, firmware=firmware)
+    scenario = options.training.document if options.training is not None else None
+    return EmulatorProcess(
+        world, folder, port, options.speed, fleet.signing_key, firmware=firmware, scenario=scenario
+    )
 
 
 def _result(

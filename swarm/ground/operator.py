@@ -36,7 +36,7 @@ import numpy as np
 
 from swarm.certification.monitor import Clearances
 from swarm.errors import VehicleError, printable
-from swarm.flight.responding import REQUESTS, Request
+from swarm.flight.requests import REQUESTS, Request
 from swarm.flight.snapshot import Event, Snapshot
 
 _TUPLES = {name for name, hint in get_type_hints(Snapshot).items() if get_origin(hint) is tuple}

@@ -27,6 +27,7 @@ from swarm.flight.result import FlightResult, adherence_object
 from swarm.flight.snapshot import Event
 from swarm.flight.swinging import largest_stray, swing_object
 from swarm.flight.tlog import KnownFrames, frames_document
+from swarm.flight.training import training_object
 from swarm.ground.priority import run_behind_main_thread
 from swarm.mavlink.packets import split_packets
 from swarm.mission.fleet import Fleet
@@ -179,6 +180,7 @@ class Record:
             "adherence": adherence_object(result.adherence),
             "swing": swing_object(largest_stray(result.trace)),
             "statistics": statistics,
+            "training": training_object(result.training, result.events),
             "record": {"dropped": self.dropped, "problem": self.problem},
         }
         self._file("summary.json", json.dumps(_plain(summary), indent=1).encode())

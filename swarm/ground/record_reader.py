@@ -19,6 +19,7 @@ from swarm.flight.flight_plan import Basis
 from swarm.flight.snapshot import Event
 from swarm.flight.tlog import KnownFrames, Replayed, read_frames, replay
 from swarm.flight.trace import Trace
+from swarm.flight.training import Training
 from swarm.mission.fleet import Fleet
 from swarm.mission.validation import LARGEST_FILE
 from swarm.planning import Plan, digest
@@ -26,7 +27,7 @@ from swarm.planning.archive import read_plan
 
 LARGEST_PLAN = 64 << 20
 """Bytes of a record's plan, motion or certificate."""
-_EVENT = TypeAdapter(Event)
+_EVENT, _TRAINING = TypeAdapter(Event), TypeAdapter(Training | None)
 LATEST_EVENT = 1e9
 """Seconds of an event's clock, which begins with the flight or with the computer: 30 years."""
 LARGEST_LOG = 4 << 30
@@ -101,6 +102,18 @@ def recorded_events(record: Path) -> Iterator[Event]:
         except ValueError:
             if number < len(lines):
                 raise InputError([Problem(f"{path}:{number}", "expected an event")]) from None
+
+
+def recorded_training(record: Path) -> Training | None:
+    """Return the faults that were injected into a record's flight; None where none were."""
+    path = record / "versions.json"
+    if not path.exists():
+        return None
+    facts = _json(path, LARGEST_FILE)
+    try:
+        return _TRAINING.validate_python(facts.get("training"))
+    except (ValidationError, AttributeError):
+        raise InputError([Problem(f"{path}: training", "expected injected faults")]) from None
 
 
 def recorded_frames(record: Path, plan: Plan) -> KnownFrames | None:

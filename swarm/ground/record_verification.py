@@ -16,8 +16,17 @@ from swarm.errors import InputError, Problem, reason
 from swarm.files import parse_json, read_text
 from swarm.flight.flight_plan import Basis, confirmed_basis
 from swarm.flight.result import Adherence, adherence
+from swarm.flight.snapshot import Event
 from swarm.flight.tlog import Replayed
-from swarm.ground.record_reader import recorded_basis, recorded_flight, recorded_plan, true_trace
+from swarm.flight.training import Training
+from swarm.ground.record_reader import (
+    recorded_basis,
+    recorded_events,
+    recorded_flight,
+    recorded_plan,
+    recorded_training,
+    true_trace,
+)
 from swarm.knots.catalog import choose_knot
 from swarm.mission.validation import LARGEST_FILE
 from swarm.planning import KnotSummary, Plan
@@ -101,7 +110,8 @@ class VerifiedRecord:
 
     ``basis`` and ``adherence`` are None for a record from before certificates. ``log`` has the
     trace and the link statistics of the .tlog, ``truth``: with the emulator's positions.
-    ``observations`` are in the order of their entry.
+    ``observations`` are in the order of their entry. ``training`` are the faults that were
+    injected, ``events`` then those of the flight.
     """
 
     record: Path
@@ -113,6 +123,8 @@ class VerifiedRecord:
     adherence: Adherence | None
     observations: tuple[Observation, ...]
     truth: bool = False
+    training: Training | None = None
+    events: tuple[Event, ...] = ()
 
     @property
     def outside_certificate(self) -> bool:
@@ -151,6 +163,7 @@ def verify_record(record: Path, *, truth: bool = False) -> VerifiedRecord:
     if basis is not None:
         basis = confirmed_basis(plan, basis)
     observations = tuple(recorded_observations(record))
+    training = recorded_training(record)
     log = recorded_flight(record, plan)
     if truth:
         log = replace(log, trace=true_trace(record, log))
@@ -164,4 +177,6 @@ def verify_record(record: Path, *, truth: bool = False) -> VerifiedRecord:
         adherence=adherence(plan, log.trace, basis) if basis else None,
         observations=observations,
         truth=truth,
+        training=training,
+        events=tuple(recorded_events(record)) if training is not None else (),
     )

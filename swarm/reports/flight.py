@@ -10,12 +10,14 @@ from typing import Any
 from rich.console import Console
 
 from swarm.certification.assessment import Assessment
+from swarm.certification.findings import numbers
 from swarm.exports import tightest_object
 from swarm.flight.result import FlightResult, adherence_object
 from swarm.flight.snapshot import Event
 from swarm.flight.swinging import flown_swing, swing_object
 from swarm.flight.tlog import Replayed
 from swarm.flight.trace import Trace
+from swarm.flight.training import training_object
 from swarm.ground.record_verification import VerifiedRecord
 from swarm.planning import Plan
 from swarm.reports.formatting import (
@@ -38,6 +40,7 @@ from swarm.reports.result import (
     Level,
     Table,
     Verdict,
+    Words,
     compared,
     drawn,
     print_verdict,
@@ -46,6 +49,7 @@ from swarm.reports.result import (
 from swarm.verification import Verification
 
 Document = Mapping[str, Any]
+NONE = Cell("none", "dim")
 
 
 def outcome_object(
@@ -69,6 +73,7 @@ def outcome_object(
         "cpu_load": statistics.cpu,
         "command_latency": {"median": latency[0], "max": latency[1]} if latency else None,
         "packets_lost": {str(system): count for system, count in statistics.lost.items()},
+        "training": training_object(result.training, result.events),
     }
 
 
@@ -113,6 +118,7 @@ def record_object(verified: VerifiedRecord) -> dict[str, Any]:
         **verification_object(verified.verification, verified.assessment),
         **_link_statistics(verified.log),
         "observations": [asdict(observation) for observation in verified.observations],
+        "training": training_object(verified.training, verified.events),
     }
 
 
@@ -213,6 +219,48 @@ def clearance_table(clearance: Document) -> Table:
     return Table(columns, rows, numbers=range(1, 6))
 
 
+def training_words(training: Document | None) -> str:
+    """Return that faults were injected, by which scenario; "" where none were."""
+    if training is None:
+        return ""
+    return (
+        f"Training with emulated vehicles: {training['scenario']} injected faults "
+        f"(SHA-256 {training['digest']})."
+    )
+
+
+def training_table(training: Document) -> Table:
+    """Return when each injected fault began, was detected, and was answered, and by whom."""
+    rows = [_training_row(fault) for fault in training["faults"]]
+    columns = ("fault", "began", "detected", "the team", "the operator")
+    return Table(columns, rows, numbers=(1,), whole=(1,))
+
+
+def _training_row(fault: Document) -> tuple[Words, ...]:
+    lasting = f"for {fault['duration']:g} s" if fault["duration"] is not None else ""
+    parts = [part for part in (fault["details"], lasting) if part]
+    what = f"{fault['kind']} ({', '.join(parts)})" if parts else fault["kind"]
+    affected = fault["vehicles"]
+    if affected:
+        what = f"vehicle{'s' if len(affected) > 1 else ''} {numbers(affected)}: {what}"
+    if not fault["began"]:
+        return what, "not begun", "", "", ""
+    seen, asked = fault["detected"], fault["operator"]
+    detected = f"after {seen['after']:.1f} s: {seen['message']}" if seen else NONE
+    team = tuple(
+        f"after {event['after']:.1f} s: {event['message'].partition(':')[0]}"
+        for event in fault["team"]
+    )
+    answer: Words = NONE
+    if asked:
+        since = "detection" if asked["since"] == "detection" else "the fault"
+        answer = (
+            f"{asked['request']}, {asked['reaction_time']:.1f} s after {since}",
+            Cell(f"by {asked['author']}", "small"),
+        )
+    return what, clock(fault["time"]), detected, team or NONE, answer
+
+
 def tracking_table(document: Document, tracking: float, vehicle_phase: str = "") -> Table:
     """Return the tracking errors of all vehicles in every phase, and of each one in one phase.
 
@@ -240,6 +288,7 @@ def print_outcome(plan: Plan, result: FlightResult, outcome: Document, console: 
     if result.stall:
         say(console, f"[bold red]{capitalized(result.stall)}.[/]")
     print_verdict(flight_verdict(plan, outcome), console)
+    _print_training(outcome["training"], console)
     if not result.basis.cable and len(plan.layout.lengths):
         words = "Flown without cable: the knot above is the one that these positions would tie."
         say(console, words)
@@ -256,6 +305,12 @@ def print_outcome(plan: Plan, result: FlightResult, outcome: Document, console: 
     if statistics.cpu is not None:
         line += f", {statistics.cpu:.0%} of a core"
     say(console, line, style="dim")
+
+
+def _print_training(training: Document | None, console: Console) -> None:
+    if training is not None:
+        say(console, training_words(training))
+        console.print(drawn(training_table(training)))
 
 
 def print_verification(
@@ -318,6 +373,7 @@ def print_record(verified: VerifiedRecord, document: Document, console: Console)
         if verified.adherence is not None and not verified.adherence.within:
             say(console, f"[bold red]{capitalized(verified.adherence.words)}.[/]")
         say(console, f"Flown {verified.basis.words}.")
+    _print_training(document["training"], console)
     positions = "world's positions" if verified.truth else "reported positions"
     print_verification(verified.plan, document, console, positions=positions)
     tracking = verified.plan.mission.vehicles.tracking
@@ -384,7 +440,9 @@ def flight_report(
         (clock(event.time), Cell(event_text(event, others), levels[log_level(event)]))
         for event, others in shown
     ]
+    training = outcome.get("training")
     sections = [
+        pages.Section("Training", [training_table(training)] if training else []),
         pages.Section("Smallest distances", [clearance_table(outcome["clearance"])]),
         pages.Section("Notes", paragraphs=outcome["notes"]),
         pages.Section("Pictures", pictures=flight_pictures(plan, trace), least="26rem"),
@@ -401,6 +459,7 @@ def flight_report(
         about=[
             f"Planned knot: {knot_in_words(plan.knot.type, plan.knot.chirality)}",
             f"Flown {outcome['certificate']['description']}.",
+            *([training_words(training)] if training else []),
         ],
         figures=_figures(plan, outcome),
         motion=flown_motion(plan, outcome, trace),

@@ -11,7 +11,7 @@ import numpy as np
 
 from swarm.console.launch import Address, Console, open_console
 from swarm.flight.conductor import Conductor
-from swarm.flight.responding import REQUESTS
+from swarm.flight.requests import REQUESTS
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.operator import ControlSocket, OperatorConsole
 from swarm.ground.record import Record

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import common
 
 from swarm.flight.contingency import GIVE_UP
 from swarm.flight.failures import FailureKind, Response
-from swarm.flight.responding import REQUESTS
+from swarm.flight.requests import REQUESTS
 from swarm.flight.stages import STEP_TRANSITIONS, TRANSITIONS, Stage, Step
 from swarm.mavlink.packets import Decoder, Encoder
 from swarm.simulation.failure_cases import FAILURE_CASES

@@ -10,7 +10,7 @@ from swarm.certification.assessment import Assessment, rounded_down
 from swarm.certification.clearances import Robustness
 from swarm.certification.distances import Tightest
 from swarm.certification.findings import Finding
-from swarm.flight.responding import REQUESTS
+from swarm.flight.requests import REQUESTS
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.planning import Plan
 from swarm.reports.formatting import clock, log_level, metres, seconds, worst_vehicles

@@ -1,0 +1,28 @@
+"""The commands of an operator, and how the record words them."""
+
+import re
+from typing import Literal, get_args
+
+from swarm.flight.snapshot import Event
+
+Request = Literal[
+    "hold", "resume", "rewind", "land", "release", "rejoin", "abort", "kill", "interrupt"
+]
+REQUESTS: tuple[Request, ...] = get_args(Request)
+ABSENCE = "the absence of screens"
+"""The author of what is requested because nobody looks on."""
+_REQUESTED = re.compile(rf"({'|'.join(REQUESTS)}) by (.+?): ")
+
+
+def request_words(command: Request, author: str, answer: str) -> str:
+    """Return the message of the event of a request, with the answer that it got."""
+    return f"{command}{f' by {author}' if author else ''}: {answer}"
+
+
+def requested(event: Event) -> tuple[str, str] | None:
+    """Return command and author of the event of a request; None for other events.
+
+    Requests without an author, which only programs make, are not recognized.
+    """
+    found = _REQUESTED.match(event.message) if event.kind == "operator" else None
+    return (found[1], found[2]) if found else None
