@@ -22,7 +22,7 @@ from swarm.cli.exporting import export_plan
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
 from swarm.formats.crazyswarm import trajectory_files
-from swarm.formats.mcap_log import write_log
+from swarm.formats.foxglove import write_log
 from swarm.formats.samples import sampled_flight, sampled_plan
 from swarm.formats.skybrush import fitted, show_file
 from swarm.formats.table import write_table

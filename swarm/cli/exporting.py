@@ -74,7 +74,7 @@ def export_samples(samples: "Samples", path: Path) -> None:
     extra = "mcap" if path.suffix == ".mcap" else "ros"
     try:
         if extra == "mcap":
-            from swarm.formats.mcap_log import write_log as write  # noqa: PLC0415 - optional
+            from swarm.formats.foxglove import write_log as write  # noqa: PLC0415 - optional
         else:
             from swarm.formats.ros_bag import write_bag as write  # noqa: PLC0415 - optional
     except ImportError:

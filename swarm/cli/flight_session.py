@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import click
 from rich.console import Console
@@ -22,9 +21,7 @@ from swarm.planning import Plan
 from swarm.reports.flight import flight_report, outcome_object, print_outcome
 from swarm.reports.terminal import FlightScreen
 from swarm.verification import verify_trace
-from swarm.view import rerun_log
-
-Viewer = Literal["native", "web"]
+from swarm.view import feeds
 
 RTCM = click.option(
     "--rtcm",
@@ -73,7 +70,7 @@ class Displays:
     """The displays of a flight: terminal and Rerun."""
 
     screen: FlightScreen
-    viewer: rerun_log.Viewer
+    viewer: feeds.Viewer
 
     def on_snapshot(self, snapshot: Snapshot) -> None:
         """Show the state of the team."""
@@ -87,7 +84,9 @@ class Displays:
 
 
 @contextmanager
-def displays(plan: Plan, folder: Path, view: Viewer | None, console: Console) -> Iterator[Displays]:
+def displays(
+    plan: Plan, folder: Path, view: feeds.Live | None, console: Console
+) -> Iterator[Displays]:
     """Create the folder of the record, start Rerun's log in it, and yield the displays.
 
     Raises :class:`InputError` for a folder that cannot be created, and :class:`Interrupted` where
@@ -97,7 +96,7 @@ def displays(plan: Plan, folder: Path, view: Viewer | None, console: Console) ->
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError([Problem(str(folder), reason(error))]) from None
-    viewer = rerun_log.start(plan, folder / "flight.rrd", view)
+    viewer = feeds.start(plan, folder / "flight.rrd", view)
     try:
         if viewer.message:
             console.print(viewer.message, soft_wrap=True, highlight=False)

@@ -19,7 +19,6 @@ from swarm.cli.flight_session import (
     CONSOLE_CERTIFICATE,
     RTCM,
     Displays,
-    Viewer,
     displays,
     end_flight,
     opened_console,
@@ -63,6 +62,7 @@ from swarm.mission.fleet import Fleet, emulated_fleet
 from swarm.planner import certify_again
 from swarm.planning.estimates import require_fleet
 from swarm.reports.result import drawn, findings_table
+from swarm.view import feeds
 
 LARGEST_LOG = 1 << 30
 """Bytes of the packets of the interrupted flight."""
@@ -74,7 +74,7 @@ def resume_flight(
     folder: Path,
     options: FlyOptions,
     *,
-    view: Viewer | None,
+    view: feeds.Live | None,
     as_json: bool,
     console_address: str | None,
     certificate: Path | None,
@@ -153,7 +153,7 @@ class Options:
     mocap: str | None
     rtcm: str | None
     clock: Path | None
-    view: Viewer | None
+    view: feeds.Live | None
     yes: bool
     record: Path | None
     forward: str | None
@@ -230,8 +230,9 @@ class Options:
     "--view",
     is_flag=False,
     flag_value="native",
-    type=click.Choice(get_args(Viewer)),
-    help="Show the flight in Rerun: its own window, or `web` for a page on this machine.",
+    type=click.Choice(get_args(feeds.Live)),
+    help="Show the flight in Rerun: its own window, or `web` for a page on this machine. "
+    "`foxglove` serves Foxglove, on this machine, and keeps flight.mcap in the record.",
 )
 @YES
 @click.option(

@@ -100,8 +100,8 @@ SYSTEM_FAILURE_CASES: tuple[SystemFailureCase, ...] = (
         "no setpoint is late; the viewer loses the data that it does not read",
         (
             "tests/ground/test_flight_process.py::test_a_slow_caller_does_not_delay_the_flight",
-            "tests/view/test_rerun_log.py::test_a_stalled_sink_delays_neither_flight_nor_other_sinks",
-            "tests/view/test_rerun_log.py::test_a_killed_sink_delays_neither_flight_nor_other_sinks",
+            "tests/view/test_feeds.py::test_a_stalled_sink_delays_neither_flight_nor_other_sinks",
+            "tests/view/test_feeds.py::test_a_killed_sink_delays_neither_flight_nor_other_sinks",
         ),
     ),
     SystemFailureCase(

@@ -5,18 +5,14 @@ end of the input, also a broken one, it completes the recording.
 """
 
 import os
-import pickle
 import sys
-from collections.abc import Iterator
-from typing import BinaryIO
 
 import rerun as rr
 
-from swarm.flight.snapshot import Event, Snapshot
-from swarm.planning import Plan
+from swarm.flight.snapshot import Event
 from swarm.view.blueprint import flight_blueprint
+from swarm.view.feeds import first_item, items
 from swarm.view.replay import send_planned
-from swarm.view.rerun_log import SinkOptions
 from swarm.view.rerun_scene import Recorder
 from swarm.view.viewers import open_window, proxy_url, serve
 
@@ -27,9 +23,7 @@ FLUSH = 5.0
 def main() -> None:
     """Record what arrives on standard input."""
     source = sys.stdin.buffer
-    plan: Plan
-    options: SinkOptions
-    plan, options = pickle.load(source)  # noqa: S301 - written by the process that started us
+    plan, options = first_item(source)
     stream = rr.RecordingStream("swarm")
     stream.set_log_tick_enabled(False)
     stream.set_log_time_enabled(False)
@@ -48,7 +42,7 @@ def main() -> None:
     if server is None:
         send_planned(stream, plan)
     recorder = Recorder(stream, plan)
-    for item in _items(source):
+    for item in items(source):
         if isinstance(item, Event):
             recorder.event(item)
         else:
@@ -61,14 +55,6 @@ def main() -> None:
         server.terminate()
     # Without the interpreter's shutdown, in which the library waits for closed viewers.
     os._exit(0)
-
-
-def _items(source: BinaryIO) -> Iterator[Snapshot | Event]:
-    while True:
-        try:
-            yield pickle.load(source)  # noqa: S301 - as above
-        except (EOFError, pickle.UnpicklingError):
-            return
 
 
 if __name__ == "__main__":

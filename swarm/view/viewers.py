@@ -57,10 +57,13 @@ def viewer_binary() -> Path:
     return folder / ("rerun.exe" if sys.platform == "win32" else "rerun")
 
 
-def free_port() -> int:
-    """Return a free TCP port of the loopback interface."""
+def free_port(preferred: int = 0) -> int:
+    """Return a free TCP port of the loopback interface: the preferred one where that is free."""
     with socket.socket() as probe:
-        probe.bind((LOOPBACK, 0))
+        try:
+            probe.bind((LOOPBACK, preferred))
+        except OSError:
+            probe.bind((LOOPBACK, 0))
         port: int = probe.getsockname()[1]
         return port
 

@@ -54,7 +54,7 @@ from swarm.ground.sockets import open_links
 from swarm.mavlink.frames import shared_frames
 from swarm.mission.fleet import Fleet, parse_fleet
 from swarm.reports.terminal import FlightScreen
-from swarm.view import rerun_log
+from swarm.view import feeds
 from tests.network import small_plan
 
 WARM_UP = 3.0
@@ -95,7 +95,7 @@ def watch(number: int, folder: str) -> None:
     """Draw what comes over a pipe, as `swarm fly --view` does."""
     with Connection(number) as pipe, open(os.devnull, "w") as nowhere:
         plan = pipe.recv()
-        viewer = rerun_log.start(plan, Path(folder) / "flight.rrd", None)
+        viewer = feeds.start(plan, Path(folder) / "flight.rrd", None)
         console = Console(file=nowhere, force_terminal=True, width=120, height=50)
         with FlightScreen(plan, console) as screen, suppress(EOFError):
             while True:

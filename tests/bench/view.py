@@ -16,7 +16,7 @@ from swarm.flight.snapshot import Snapshot
 from swarm.geometry.motion import through_states
 from swarm.planning import Plan
 from swarm.view.blueprint import flight_blueprint
-from swarm.view.rerun_log import start
+from swarm.view.feeds import start
 from swarm.view.rerun_scene import Recorder
 from tests.reports.synthetic import snapshot_at, trefoil_plan
 

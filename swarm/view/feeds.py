@@ -1,10 +1,11 @@
-"""A flight shown and recorded in Rerun without a delay of the flight.
+"""A flight shown and recorded, in Rerun or for Foxglove, without a delay of the flight.
 
-Each sink, the file and the live viewer, is a separate process. A queue feeds it that drops its
+Each sink, a file or a live view, is a separate process. A queue feeds it that drops its
 oldest snapshots when the process is too slow; only the thread of this queue waits for the process.
 A viewer that stalls, or that is not opened, delays neither the flight nor other sinks.
 """
 
+import importlib.util
 import os
 import pickle
 import signal
@@ -12,18 +13,20 @@ import subprocess
 import threading
 import time
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Final, Literal, cast
+from typing import IO, BinaryIO, Final, Literal, cast
 
 from swarm.child_modules import module_command
+from swarm.errors import SwarmError
 from swarm.files import require_writable
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.priority import lower_priority
 from swarm.planning import Plan
-from swarm.view.viewers import free_port, has_display, proxy_url, web_url
+from swarm.view.viewers import LOOPBACK, free_port, has_display, proxy_url, web_url
 
-Live = Literal["native", "web"]
+Live = Literal["native", "web", "foxglove"]
 
 NEWEST_SNAPSHOTS: Final = 400
 """Snapshots in the queue of a sink that is slow or still starting; beyond it the oldest drop."""
@@ -32,14 +35,42 @@ NEWEST_EVENTS: Final = 10_000
 """Events in the queue; they are few, and none should be lost."""
 
 
+FOXGLOVE_MISSING: Final = (
+    "--view foxglove needs more packages: pip install 'swarm-ground-station[mcap]'"
+)
+FOXGLOVE_PORT: Final = 8765
+"""The port to which Foxglove connects by itself."""
+
+
 @dataclass(frozen=True)
 class SinkOptions:
-    """The output of a sink: a file, or a server on loopback for viewers."""
+    """The output of a sink: a file, a server on loopback for viewers, or for Foxglove both."""
 
     path: str | None = None
     live: Live | None = None
     port: int = 0
     web_port: int | None = None
+
+    @property
+    def module(self) -> str:
+        """The module that runs as the sink's process."""
+        name = "foxglove_sink" if self.live == "foxglove" else "rerun_sink"
+        return f"swarm.view.{name}"
+
+
+def first_item(source: BinaryIO) -> tuple[Plan, SinkOptions]:
+    """Return the plan and the output with which the input of a sink's process begins."""
+    first: tuple[Plan, SinkOptions] = pickle.load(source)  # noqa: S301 - by our own parent
+    return first
+
+
+def items(source: BinaryIO) -> Iterator[Snapshot | Event]:
+    """Yield what follows in the input of a sink's process, to its end, also a broken one."""
+    while True:
+        try:
+            yield pickle.load(source)  # noqa: S301 - as above
+        except (EOFError, pickle.UnpicklingError):
+            return
 
 
 class Viewer:
@@ -76,10 +107,13 @@ class Viewer:
 def start(plan: Plan, path: Path | None, live: Live | None) -> Viewer:
     """Start recording a flight to ``path`` (.rrd) and showing it ``live``; either may be None.
 
-    ``native`` opens a window, ``web`` serves a page on loopback. Without a display there is no
-    window; :attr:`Viewer.message` reports that, and the file is written. Raises
-    :class:`InputError` where the file cannot be written.
+    ``native`` opens a window, ``web`` serves a page on loopback, ``foxglove`` serves Foxglove and
+    writes an .mcap file beside ``path``. Without a display there is no window;
+    :attr:`Viewer.message` reports that, and the file is written. Raises :class:`InputError` where a
+    file cannot be written, and :class:`SwarmError` where a package is missing.
     """
+    if live == "foxglove" and importlib.util.find_spec("foxglove") is None:
+        raise SwarmError(FOXGLOVE_MISSING)
     feeds: list[Feed] = []
     message = None
     if path is not None:
@@ -88,6 +122,14 @@ def start(plan: Plan, path: Path | None, live: Live | None) -> Viewer:
     if live == "native" and not has_display():
         later = f"; open {path} later with: swarm view {path}" if path else ""
         message = f"no display, so no window{later}"
+    elif live == "foxglove":
+        log = None if path is None else path.with_suffix(".mcap")
+        if log is not None:
+            require_writable(log)
+        port = free_port(FOXGLOVE_PORT)
+        options = SinkOptions(path=None if log is None else str(log), live=live, port=port)
+        feeds.append(Feed(plan, options))
+        message = f"live view: open connection ws://{LOOPBACK}:{port} in Foxglove"
     elif live is not None:
         port = free_port()
         web_port = free_port() if live == "web" else None
@@ -112,7 +154,7 @@ class Feed:
         # A new session: an interrupt from the keyboard ends the flight, and the recording must be
         # completed after that.
         self._process = subprocess.Popen(  # noqa: S603
-            module_command("swarm.view.rerun_sink"),
+            module_command(options.module),
             stdin=subprocess.PIPE,
             bufsize=0,
             stdout=subprocess.DEVNULL,

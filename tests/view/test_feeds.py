@@ -14,7 +14,7 @@ from swarm.errors import InputError
 from swarm.flight.snapshot import Event
 from swarm.ground.priority import helper_niceness
 from swarm.planning import Plan
-from swarm.view.rerun_log import NEWEST_SNAPSHOTS, Viewer, start
+from swarm.view.feeds import NEWEST_SNAPSHOTS, Viewer, start
 from swarm.view.rerun_scene import Recorder
 from tests.reports.synthetic import events, fly, snapshot_at, trefoil_plan
 
