@@ -20,6 +20,7 @@ from swarm.flight.trace import Trace
 from swarm.flight.training import training_object
 from swarm.ground.record_verification import VerifiedRecord
 from swarm.planning import Plan
+from swarm.reports import scene
 from swarm.reports.formatting import (
     DISTANCES,
     ROUTINE_KINDS,
@@ -261,13 +262,16 @@ def _training_row(fault: Document) -> tuple[Words, ...]:
     return what, clock(fault["time"]), detected, team or NONE, answer
 
 
-def tracking_table(document: Document, tracking: float, vehicle_phase: str = "") -> Table:
+def tracking_table(document: Document, plan: Plan, vehicle_phase: str = "") -> Table:
     """Return the tracking errors of all vehicles in every phase, and of each one in one phase.
 
-    Errors in the fold above the ``tracking`` radius are marked.
+    Beside them stands what is allowed: the certified radius while cable is off the floor, else the
+    error at which the clock stands still. Errors above it are marked.
     """
     adherence = document["adherence"]
     beyond: Level = "warn" if adherence is None or adherence["within"] else "bad"
+    allowed = {phase.name: scene.allowed_error(plan, phase.start) for phase in plan.phases}
+    certified = plan.mission.vehicles.tracking
     rows: list[tuple[str | Cell, ...]] = []
     for error in document["tracking_error"]:
         phase = error["phase"]
@@ -278,9 +282,11 @@ def tracking_table(document: Document, tracking: float, vehicle_phase: str = "")
         else:
             continue
         rms, most, largest = (f"{error[key]:.3f} m" for key in ("rms", "p999", "max"))
-        marked = phase == "fold" and error["max"] > tracking > 0
-        rows.append((name, rms, most, Cell(largest, beyond) if marked else largest))
-    return Table(("tracking error", "RMS", "99.9 %", "largest"), rows, numbers=(1, 2, 3))
+        limit = allowed[phase]
+        words = f"{limit:g} m" if limit == certified else f"{limit:g} m, no cable in the air"
+        marked = error["max"] > limit > 0
+        rows.append((name, rms, most, Cell(largest, beyond) if marked else largest, words))
+    return Table(("tracking error", "RMS", "99.9 %", "largest", "allowed"), rows, numbers=(1, 2, 3))
 
 
 def print_outcome(plan: Plan, result: FlightResult, outcome: Document, console: Console) -> None:
@@ -376,8 +382,7 @@ def print_record(verified: VerifiedRecord, document: Document, console: Console)
     _print_training(document["training"], console)
     positions = "world's positions" if verified.truth else "reported positions"
     print_verification(verified.plan, document, console, positions=positions)
-    tracking = verified.plan.mission.vehicles.tracking
-    console.print(drawn(tracking_table(document, tracking, "fold")))
+    console.print(drawn(tracking_table(document, verified.plan, "fold")))
     console.print(drawn(_commands_table(document["commands"])))
     _print_links(verified.log, console)
     _print_observations(verified, console)
@@ -433,7 +438,6 @@ def flight_report(
     from swarm.reports.motion_view import flown_motion  # noqa: PLC0415
     from swarm.reports.plots import flight_pictures  # noqa: PLC0415
 
-    tracking = plan.mission.vehicles.tracking
     levels: dict[str, Level] = {"ERROR": "bad", "WARN": "warn", "INFO": ""}
     shown = merge_events(event for event in events if event.kind not in ROUTINE_KINDS)
     happened = [
@@ -446,7 +450,7 @@ def flight_report(
         pages.Section("Smallest distances", [clearance_table(outcome["clearance"])]),
         pages.Section("Notes", paragraphs=outcome["notes"]),
         pages.Section("Pictures", pictures=flight_pictures(plan, trace), least="26rem"),
-        pages.Section("Tracking error", [tracking_table(outcome, tracking)]),
+        pages.Section("Tracking error", [tracking_table(outcome, plan)]),
         pages.Section("Events", [Table(("time", "event"), happened, numbers=(0,))]),
         pages.plan_section(plan, assessment),
     ]

@@ -136,7 +136,7 @@ def flight_figure(plan: Plan, trace: Trace) -> Figure:
     figure = new_figure(12.0, 5.2)
     cells = figure.add_gridspec(2, 2, width_ratios=[1.0, 1.6])
     draw_flown_view(figure.add_subplot(cells[:, 0]), plan, trace)
-    draw_errors(figure.add_subplot(cells[0, 1]), trace, plan.mission.vehicles.tracking)
+    draw_errors(figure.add_subplot(cells[0, 1]), plan, trace)
     draw_clock(figure.add_subplot(cells[1, 1]), trace)
     figure.suptitle(f"{plan.mission.name}: flight")
     return figure
@@ -209,7 +209,7 @@ def flight_pictures(plan: Plan, trace: Trace) -> list[Picture]:
     """Return the pictures of a flight's page."""
     pictures = []
     figure, axes = new_axes((8.0, 3.0))
-    draw_errors(axes, trace, plan.mission.vehicles.tracking)
+    draw_errors(axes, plan, trace)
     pictures.append(picture(figure, "Tracking error of every vehicle", wide=True))
     figure, axes = new_axes((8.0, 2.2))
     draw_clock(axes, trace)
@@ -455,16 +455,19 @@ def draw_clearance(
     axes.set_ylim(bottom=0.0)
 
 
-def draw_errors(axes: Axes, trace: Trace, tracking_radius: float) -> None:
-    """Draw every vehicle's tracking error over time with the tracking radius, metres."""
+def draw_errors(axes: Axes, plan: Plan, trace: Trace) -> None:
+    """Draw every vehicle's tracking error over time, and what is allowed then, metres."""
     errors = np.linalg.norm(trace.position - trace.setpoint, axis=-1)
     for i, colour in enumerate(along_colours(errors.shape[1])):
         axes.plot(trace.time, errors[:, i], color=colour, linewidth=0.7)
-    if tracking_radius > 0:
-        axes.axhline(tracking_radius, color=ALARM, linewidth=1.2, linestyle="--")
+    allowed = [scene.allowed_error(plan, time) for time in trace.mission_time.tolist()]
+    axes.plot(trace.time, allowed, color=ALARM, linewidth=1.2, linestyle="--")
     _shade_phases(axes, trace)
     axes.set(xlabel="time, s", ylabel="error, m")
-    axes.set_title("Tracking error", pad=_ABOVE_PHASES)
+    axes.set_title(
+        "Tracking error; dashed: certified while cable is off the floor, else allowed",
+        pad=_ABOVE_PHASES,
+    )
     axes.set_ylim(bottom=0.0)
 
 

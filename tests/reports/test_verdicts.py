@@ -8,8 +8,9 @@ from swarm.certification.assessment import budget_findings
 from swarm.certification.budget import Budget
 from swarm.certification.findings import Finding
 from swarm.reports.failures import failures_verdict
-from swarm.reports.flight import flight_verdict
+from swarm.reports.flight import flight_verdict, tracking_table
 from swarm.reports.plan import findings_verdict, plan_verdict
+from swarm.reports.result import Cell
 from swarm.reports.trials import trials_verdict
 from tests.reports.synthetic import trefoil_plan
 from tests.reports.test_report import outcome, share
@@ -226,3 +227,19 @@ def test_a_plan_whose_budget_is_short_states_it() -> None:
     )
     found = plan_verdict(PLAN, replace(assessment(finding), budget=(closed,)))
     assert (found.level, "too close" in found.words) == ("good", False)
+
+
+def test_an_error_is_marked_by_what_is_allowed_in_its_phase():
+    """Cable on the floor permits what it does not in the air."""
+    plan = trefoil_plan()
+    errors = [
+        {"phase": phase, "vehicle": 0, "rms": 0.1, "p999": largest, "max": largest}
+        for phase, largest in (("takeoff", 0.4), ("grab", 0.6), ("fold", 0.4), ("lift", 0.01))
+    ]
+    table = tracking_table({"adherence": None, "tracking_error": errors}, plan)
+    assert [(row[3], row[4]) for row in table.rows] == [
+        ("0.400 m", "0.5 m, no cable in the air"),
+        (Cell("0.600 m", "warn"), "0.5 m, no cable in the air"),
+        (Cell("0.400 m", "warn"), "0.1 m"),
+        ("0.010 m", "0.1 m"),
+    ]
