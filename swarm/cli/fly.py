@@ -35,6 +35,7 @@ from swarm.cli.inputs import (
     refuse_option_conflicts,
 )
 from swarm.cli.planning import load_source, load_training, prepare_flight, require_cleared
+from swarm.console.launch import parse_address, require_usable
 from swarm.errors import InputError, Problem, Refused
 from swarm.flight.bench_flight import RAISED, raised
 from swarm.flight.flight_plan import Audit, ResumedFlight, confirmed_basis
@@ -291,6 +292,8 @@ def fly(context: click.Context, /, **options: Any) -> None:
     Example: swarm fly missions/overhand.yaml --fleet fleet.yaml --view
     """
     given = Options(**options)
+    if given.console is not None:
+        require_usable(parse_address(given.console), given.console_certificate)
     if given.resume is not None:
         refuse_option_conflicts(options, {}, [("resume", "scenario")])
         given.refuse_with_resume()

@@ -66,6 +66,13 @@ class Console:
     process: "subprocess.Popen[bytes]"
 
 
+def require_usable(address: Address, certificate: Path | None) -> None:
+    """Raise :class:`InputError` for an address or a certificate that cannot be used now."""
+    if certificate:
+        read_certificate(certificate)
+    _listening(address).close()
+
+
 @contextmanager
 def open_console(folder: Path, address: Address, certificate: Path | None) -> Iterator[Console]:
     """Open the console of the flight with this record, which may begin later.

@@ -15,6 +15,7 @@ from websockets.sync.client import connect
 from swarm.console.certificate import fingerprint, read_certificate, self_signed
 from swarm.console.launch import Address, open_console, parse_address
 from swarm.errors import InputError
+from tests.command import run
 from tests.console.flight import LOOPBACK, PATIENCE, flying_with_console
 
 
@@ -209,6 +210,15 @@ def test_an_address_in_use_is_refused(tmp_path):
             open_console(tmp_path, Address("127.0.0.1", port), None),
         ):
             pass
+
+
+def test_an_address_in_use_is_refused_before_the_mission_is_read(tmp_path):
+    (tmp_path / "none.yaml").write_text("no: mission\n")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        done = run("fly", str(tmp_path / "none.yaml"), "--console", address)
+    assert done.returncode == 2
+    assert done.stderr == f"--console: {address}: address already in use\n"
 
 
 @pytest.mark.parametrize(
