@@ -212,13 +212,11 @@ def test_an_address_in_use_is_refused(tmp_path):
             pass
 
 
-def test_an_address_in_use_is_refused_before_the_mission_is_read(tmp_path):
-    (tmp_path / "none.yaml").write_text("no: mission\n")
+def test_an_address_in_use_is_refused_before_planning():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         address = f"127.0.0.1:{taken.getsockname()[1]}"
-        done = run("fly", str(tmp_path / "none.yaml"), "--console", address)
-    assert done.returncode == 2
-    assert done.stderr == f"--console: {address}: address already in use\n"
+        done = run("fly", "overhand", "--console", address)
+    assert done == (2, "", f"--console: {address}: address already in use\n")
 
 
 @pytest.mark.parametrize(
