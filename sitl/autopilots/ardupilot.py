@@ -16,7 +16,6 @@ from typing import ClassVar
 
 from pymavlink.dialects.v20 import common as dialect
 
-from sitl.autopilots.missions import DONE, LANDING, RETURNING, starts_with_takeoff, steer_mission
 from sitl.autopilots.telemetry import send_now
 from sitl.faults import SIM_PARAMETERS
 from sitl.protocol import wire
@@ -144,7 +143,7 @@ _RELEASE_GRIPPER = 32
 """FS_OPTIONS."""
 _LAND_PAUSE = 4.0
 """Seconds for which a failsafe's landing hovers first (LAND_WITH_DELAY_MS in its source)."""
-_RADIO_IN_AUTO, _GCS_IN_AUTO, _RADIO_IN_GUIDED, _WHILE_LANDING, _GCS_WITH_PILOT = 1, 2, 4, 8, 16
+_RADIO_IN_GUIDED, _WHILE_LANDING, _GCS_WITH_PILOT = 4, 8, 16
 """FS_OPTIONS: conditions in which a failsafe does not change the mode."""
 _RADIO_TIMEOUT = 1.0
 """Seconds without pulses until a radio counts as lost: RC_FS_TIMEOUT's default; measured."""
@@ -174,14 +173,11 @@ ArduCopter closes a loop on the measured acceleration; at a hover throttle of 0.
 class ArduPilot(Autopilot):
     """ArduCopter of one vehicle.
 
-    ``submode`` is the kind of GUIDED ("takeoff", "posvel", …) or AUTO, ``stage`` the part of RTL
-    or of a mission's landing.
+    ``submode`` is the kind of GUIDED ("takeoff", "posvel", …), ``stage`` the part of RTL.
     """
 
     streams = STREAMS
     gain_parameters = ("PSC_", "ANGLE_", "MOT_SPOOL", "TKOFF_")
-    first_item = 1
-    """The first item of a mission is home."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.booted = -math.inf
@@ -362,7 +358,7 @@ class ArduPilot(Autopilot):
                 v.environment.event("landed", v.system)
             if v.now - self.landed_at >= _IDLE_TIME:
                 self.disarm("landed")
-        elif self.submode in {"takeoff", "auto"} and v.bodies.may_lift[v.index]:
+        elif self.submode == "takeoff" and v.bodies.may_lift[v.index]:
             self.idle_since = v.now
         elif 0 < v.parameters["DISARM_DELAY"] < v.now - self.idle_since:
             self.disarm("idle")
@@ -486,7 +482,8 @@ class ArduPilot(Autopilot):
             return FAILED
         if number == self.mode and not failsafe:
             return ACCEPTED
-        if number == AUTO and not self._can_start_mission():
+        if number == AUTO:
+            v.text(WARNING, "Mode change to AUTO failed: init failed")
             return FAILED
         self.mode = number
         self.failsafe = failsafe
@@ -504,17 +501,6 @@ class ArduPilot(Autopilot):
             mode = LAND
         self.change(mode, failsafe=True)
 
-    def _can_start_mission(self) -> bool:
-        """Return whether a mission exists that AUTO can start now."""
-        v = self.v
-        if len(v.mission[0]) <= 1:
-            v.text(WARNING, "Mode change to AUTO failed: init failed")
-            return False
-        if v.armed and v.landed and not starts_with_takeoff(v):
-            v.text(CRITICAL, "Auto: Missing Takeoff Cmd")
-            return False
-        return True
-
     def _begin(self) -> None:
         v, p = self.v, self.v.parameters
         self.landing = self.mode == LAND
@@ -526,9 +512,7 @@ class ArduPilot(Autopilot):
         if not v.armed:
             return
         v.hold()
-        if self.mode == AUTO:
-            self.submode = "" if v.landed else "auto"
-        elif self.mode == LAND:
+        if self.mode == LAND:
             rate = p["LAND_SPEED"] / 100.0 if v.now >= self.descend_at else 0.0
             v.descend(rate, steer=v.local_valid)
 
@@ -608,22 +592,6 @@ class ArduPilot(Autopilot):
             self.submode = "stopped"
             b.set_goal(i, goal)
 
-    def _fly_mission(self) -> None:
-        v, p = self.v, self.v.parameters
-        if self.submode != "auto":
-            return
-        if self.stage == "land":
-            self._land()
-            return
-        result = steer_mission(v, p["WPNAV_RADIUS"] / 100.0)
-        if result == RETURNING:
-            self.change(RTL)
-        elif result == DONE:
-            self.submode = "done"
-            v.hold()
-        elif result == LANDING:
-            self.begin_landing(p["LAND_SPEED"] / 100.0)
-
     def steer(self) -> None:
         """Update the goals of the active mode."""
         if self.mode == GUIDED:
@@ -632,8 +600,6 @@ class ArduPilot(Autopilot):
             self._return()
         elif self.mode == LAND:
             self._land()
-        elif self.mode == AUTO:
-            self._fly_mission()
 
     def watch(self) -> None:
         """Check all failsafes; called a few times a second while armed."""
@@ -674,9 +640,8 @@ class ArduPilot(Autopilot):
         manual = not MODES[self.mode].autonomous
         if self.mode == LAND:
             return
-        if (self.mode == AUTO and options & _GCS_IN_AUTO) or (manual and options & _GCS_WITH_PILOT):
-            continued = "Auto Mode" if self.mode == AUTO else "Pilot Control"
-            v.text(WARNING, f"GCS Failsafe - Continuing {continued}")
+        if manual and options & _GCS_WITH_PILOT:
+            v.text(WARNING, "GCS Failsafe - Continuing Pilot Control")
             return
         v.text(WARNING, "GCS Failsafe")
         self.fail_to(action)
@@ -698,8 +663,6 @@ class ArduPilot(Autopilot):
             self.disarm("radio failsafe")
         elif self.mode == LAND and (options & _WHILE_LANDING or self.failsafe):
             v.text(WARNING, "Radio Failsafe - Continuing Landing")
-        elif self.mode == AUTO and options & _RADIO_IN_AUTO:
-            v.text(WARNING, "Radio Failsafe - Continuing Auto Mode")
         elif self.mode == GUIDED and options & _RADIO_IN_GUIDED:
             v.text(WARNING, "Radio Failsafe - Continuing Guided Mode")
         else:
@@ -795,14 +758,7 @@ class ArduPilot(Autopilot):
         return ACCEPTED
 
     def _start_mission(self, _: Command) -> int:
-        """Start the mission, from the ground too, without arming."""
-        v = self.v
-        if self.change(AUTO) != ACCEPTED or not v.armed:
-            return FAILED
-        self.submode = "auto"
-        v.bodies.may_lift[v.index] = True
-        self.steer()
-        return ACCEPTED
+        return self.change(AUTO)
 
     def _enable_fence(self, command: Command) -> int:
         if command.p[0] not in {0.0, 1.0}:

@@ -17,7 +17,6 @@ from typing import ClassVar
 import numpy as np
 from pymavlink.dialects.v20 import common as dialect
 
-from sitl.autopilots.missions import DONE, LANDING, RETURNING, steer_mission
 from sitl.faults import SIM_PARAMETERS
 from sitl.protocol import wire
 from sitl.protocol.missions import breached
@@ -150,7 +149,7 @@ _AXES, _FORCE, _LOCAL_NED = 0x1FF, 512, 1
 """Bits of a setpoint's type mask; its frame."""
 _UNHEALTHY = "Resolve system health failures first"
 _NO_STICKS = 4
-_EXCEPTIONS = {"MISSION": 1, "LOITER": 2, "OFFBOARD": 4}
+_EXCEPTIONS = {"LOITER": 2, "OFFBOARD": 4}
 _ALIVE = 1.9
 """Seconds after its last heartbeat for which a ground station counts as connected: 1.25 to 2.5 s,
 the latest of checks 1.25 s apart."""
@@ -407,7 +406,7 @@ class Px4(Autopilot):
         if requirement == "home":
             return v.home is not None
         if requirement == "mission":
-            return bool(v.mission[0])
+            return False
         return (self.pilot or v.spec.radio) and not v.radio_lost
 
     def can_run(self, mode: str) -> bool:
@@ -446,11 +445,11 @@ class Px4(Autopilot):
                 return True
         return breached(v.fence, float(here[0]), float(here[1]))
 
-    def begin(self) -> str | None:
+    def begin(self) -> None:
         """Set limits and goals of a mode that has just become active while armed."""
         v, p, mode = self.v, self.v.parameters, self.mode
         b, i = v.bodies, v.index
-        b.may_lift[i] = mode in {"OFFBOARD", "TAKEOFF", "POSCTL", "MISSION"}
+        b.may_lift[i] = mode in {"OFFBOARD", "TAKEOFF", "POSCTL"}
         v.limit_speeds(p["MPC_XY_CRUISE"], p["MPC_Z_V_AUTO_UP"], p["MPC_Z_V_AUTO_DN"])
         self.all_axes = False
         if mode == "OFFBOARD":
@@ -465,9 +464,6 @@ class Px4(Autopilot):
             v.go(self.goal)
         elif mode == "LOITER" and self.goal is not None:
             v.go(self.goal)
-        elif mode == "MISSION":
-            v.hold()
-            return self._fly_mission()
         elif mode == "LAND":
             v.hold()
             v.descend(p["MPC_LAND_SPEED"], steer=True)
@@ -475,15 +471,13 @@ class Px4(Autopilot):
             v.descend(p["MPC_LAND_SPEED"], steer=False)
         elif mode != "TERMINATION":
             v.hold()
-        return None
 
     def steer(self) -> None:
         """Update the goals of the active mode, and change the mode where it has ended."""
         if self.mode == "TAKEOFF":
             if self.goal is not None and abs(self.v.estimated()[2] - self.goal[2]) < 0.3:
-                self._follow_up("LOITER")
-        elif self.mode == "MISSION":
-            self._follow_up(self._fly_mission())
+                self.intended = self.after_disarm = "LOITER"
+                self.evaluate()
         elif self.mode == "LAND":
             self._land()
         elif self.mode == "RTL":
@@ -508,16 +502,6 @@ class Px4(Autopilot):
         top = max(float(here[2]), float(home[2]) + min(p["RTL_RETURN_ALT"], 0.5 * away + 5.0))
         if self.fly_home(top if away > 1.0 else here[2]):
             self.begin_landing(p["MPC_LAND_SPEED"])
-
-    def _fly_mission(self) -> str | None:
-        p = self.v.parameters
-        if self.stage == "land":
-            self._land()
-            return None
-        result = steer_mission(self.v, p["NAV_ACC_RAD"])
-        if result == LANDING:
-            self.begin_landing(p["MPC_LAND_SPEED"])
-        return {RETURNING: "RTL", DONE: "LOITER"}.get(result)
 
     def change(self, name: str | None) -> int:
         """Change the user's mode if the new one can run; return the MAV_RESULT."""
@@ -646,17 +630,7 @@ class Px4(Autopilot):
         self.stage = ""
         v.environment.event("mode", v.system, mode=name, failsafe=failsafe)
         if v.armed:
-            self._follow_up(self.begin())
-
-    def _follow_up(self, following: str | None) -> None:
-        """Change to the mode that follows; a take-off holds at its goal."""
-        if following is None:
-            return
-        if self.mode == "TAKEOFF":
-            self.intended = self.after_disarm = following
-            self.evaluate()
-        else:
-            self.intend(following)
+            self.begin()
 
     def watch_battery(self) -> None:
         """Report a low battery and act on it (BAT_*_THR, COM_LOW_BAT_ACT)."""

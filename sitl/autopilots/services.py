@@ -132,12 +132,6 @@ def _inject(v: Vehicle, command: Command) -> int:
     return ACCEPTED if known else UNSUPPORTED
 
 
-def _jump(v: Vehicle, command: Command) -> int:
-    number = command.p[0]
-    exists = math.isfinite(number) and v.mission_progress.jump_to(int(number), len(v.mission[0]))
-    return ACCEPTED if exists else DENIED
-
-
 def _set_speed(v: Vehicle, command: Command) -> int:
     v.set_speed(command.p[1])
     return ACCEPTED
@@ -160,7 +154,6 @@ COMMANDS: dict[int, Callable[[Vehicle, Command], int]] = {
     dialect.MAV_CMD_DO_GRIPPER: _gripper,
     dialect.MAV_CMD_GET_HOME_POSITION: _home,
     dialect.MAV_CMD_DO_SET_HOME: _set_home,
-    dialect.MAV_CMD_DO_SET_MISSION_CURRENT: _jump,
     dialect.MAV_CMD_DO_CHANGE_SPEED: _set_speed,
     _INJECT_FAILURE: _inject,
     dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,

@@ -544,7 +544,7 @@ def _servo(v: Vehicle) -> tuple[int, ...]:
 
 @_message("MISSION_CURRENT", "seq total")
 def _mission_current(v: Vehicle) -> tuple[int, int]:
-    return v.mission_progress.seq, len(v.mission[0]) or (0xFFFF if v.is_px4 else 0)
+    return 0, len(v.mission[0]) or (0xFFFF if v.is_px4 else 0)
 
 
 _MODE_INTERVAL = 0.49

@@ -1,7 +1,7 @@
-"""What ground stations upload: the progress of a mission; fences as polygons and circles.
+"""What ground stations upload: fences as polygons and circles.
 
 Items of the mission protocol's fence list (MAV_CMD_NAV_FENCE_*) become `Area`s in world ENU; the
-autopilot decides on the reaction to a breach. `sitl.autopilots.missions` uploads and flies.
+autopilot decides on the reaction to a breach. `sitl.autopilots.missions` takes the upload.
 """
 
 import math
@@ -12,34 +12,6 @@ from typing import Any
 from sitl.physics.geodesy import Geodesy
 
 _POLYGON_IN, _POLYGON_OUT, _CIRCLE_IN, _CIRCLE_OUT = 5001, 5002, 5003, 5004
-
-
-class MissionProgress:
-    """The current mission item, its goal (world ENU) and timers; ``first`` is the start item."""
-
-    def __init__(self, first: int) -> None:
-        self.first = first
-        self.restart()
-
-    def restart(self) -> None:
-        """Return to the first item."""
-        self.seq = self.first
-        self.goal: Any = None
-        self.wait_until: float | None = None
-        self.jumps: dict[int, int] = {}
-
-    def jump_to(self, seq: int, count: int) -> bool:
-        """Continue with another item of ``count``; return False if it does not exist."""
-        if not 0 <= seq < count:
-            return False
-        self.seq = max(seq, self.first)
-        self.goal = self.wait_until = None
-        return True
-
-    def advance(self) -> None:
-        """Continue with the next item."""
-        self.seq += 1
-        self.goal = self.wait_until = None
 
 
 @dataclass(frozen=True)

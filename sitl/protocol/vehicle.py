@@ -17,7 +17,7 @@ import numpy as np
 from sitl.physics.dynamics import Bodies
 from sitl.physics.geodesy import Geodesy
 from sitl.protocol import wire
-from sitl.protocol.missions import Area, MissionProgress
+from sitl.protocol.missions import Area
 from sitl.protocol.parameters import Parameters
 from sitl.protocol.wire import ACCEPTED, FAILED, Command, Link
 from sitl.world import VehicleSpec, World
@@ -117,16 +117,15 @@ class Autopilot(ABC):
     """Modes, commands, setpoints and failsafes of one vehicle.
 
     ``streams`` are default rates of messages in Hz, by kind of link and name; ``commands`` are
-    methods by MAV_CMD; the gains follow parameters that begin with ``gain_parameters``;
-    ``first_item`` is where missions start. ``landing``: a landing is commanded; ``pilot``: a pilot
-    controls the vehicle; ``has_origin``: the estimator has a global origin; ``goal`` and ``stage``
-    are of the active mode; ``slow_at`` is the time of the next slow checks.
+    methods by MAV_CMD; the gains follow parameters that begin with ``gain_parameters``.
+    ``landing``: a landing is commanded; ``pilot``: a pilot controls the vehicle; ``has_origin``:
+    the estimator has a global origin; ``goal`` and ``stage`` are of the active mode; ``slow_at`` is
+    the time of the next slow checks.
     """
 
     streams: ClassVar[Mapping[str, Mapping[str, float]]]
     commands: ClassVar[Commands]
     gain_parameters: ClassVar[tuple[str, ...]]
-    first_item: ClassVar[int] = 0
 
     def __init__(
         self,
@@ -149,7 +148,6 @@ class Autopilot(ABC):
         self.gcs_connected = self.radio_known = False
         self.radio_lost_at: float | None = None
         self.slow_at = -math.inf
-        self.v.mission_progress = MissionProgress(self.first_item)
 
     @abstractmethod
     def restart(self) -> None:
@@ -378,7 +376,6 @@ class Vehicle:
     def _clear_mailbox(self) -> None:
         self.last_heartbeat: dict[int, float] = {}
         self.mission: dict[int, list[dict[str, Any]]] = {0: [], 1: [], 2: []}
-        self.mission_progress = MissionProgress(first=0)
         self.upload: dict[str, Any] = {}
         self.parameters = Parameters()
         self.parameter_queue: list[tuple[Link, int]] = []
