@@ -225,8 +225,9 @@ class FlightScreen:
     """The screen of a flight: phases, mission clock, the team, the last events, the keys.
 
     Use it as a context manager; pass every snapshot to :meth:`show` and every event to
-    :meth:`event`. It redraws five times a second; before it is entered, and in a pipe, it prints
-    events, phases, and what a team on the ground waits for as lines.
+    :meth:`event`. It redraws five times a second; before it is entered, in a pipe, and in a
+    terminal that cannot move its cursor (TERM=dumb), it prints events, phases, and what a team on
+    the ground waits for as lines.
     Routine events (modes, arming, …) are not listed. Of the vehicles' texts only warnings and worse
     are shown, each once, with all vehicles that sent it. With ``keys`` the operator's keys are
     listed: where a terminal passes them on.
@@ -247,7 +248,7 @@ class FlightScreen:
                 refresh_per_second=5,
                 get_renderable=self.drawing,
             )
-            if console.is_terminal
+            if console.is_terminal and not console.is_dumb_terminal
             else None
         )
 
@@ -314,6 +315,11 @@ class FlightScreen:
         self._printed, self._printed_at = (snapshot.phase, waits), snapshot.time
         line = f"{clock(snapshot.time)} phase {snapshot.phase}"
         line += f": waiting for {waits}" if waits else ""
+        if self._keys and phase != snapshot.phase:
+            names = [
+                _KEY_NAMES[name] for name in _ORDER if snapshot.available.get(name, (False,))[0]
+            ]
+            line += "".join(f" · {key} {name}" for key, name in names)
         self._console.print(line, soft_wrap=True, highlight=False, markup=False)
 
     def drawing(self) -> RenderableType:

@@ -179,6 +179,25 @@ def test_flight_in_a_pipe_is_plain_lines() -> None:
     ]
 
 
+def test_a_terminal_that_cannot_move_its_cursor_gets_lines_with_the_keys(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("TERM", "dumb")
+    console = screen()
+    moment = snapshot_at(PLAN, 0.0)
+    with FlightScreen(PLAN, console, keys=True) as shown:
+        for time, open_ in ((0.0, False), (6.0, True), (6.05, True)):
+            answers = {
+                name: (open_ and name != "resume", "") for name in ("hold", "resume", "land")
+            }
+            at = replace(moment, time=time, phase="grab" if open_ else "takeoff", available=answers)
+            shown.show(at)
+    assert printed(console).splitlines() == [
+        "0:00.0 phase takeoff",
+        "0:06.0 phase grab · h hold · l land",
+    ]
+
+
 def test_what_a_team_on_the_ground_waits_for_is_printed_from_the_beginning() -> None:
     """Also on a terminal, whose screen starts behind the question to the operator."""
     waits = {0.0: "a", 0.1: "b", 1.2: "b", 1.3: "b", 1.4: "c", 3.0: "c"}
