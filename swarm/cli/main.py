@@ -107,6 +107,7 @@ SECTIONS = {
         "check": ("check", "Check a fleet on the ground, before arming."),
         "fly": ("fly", "Plan, check and fly a mission."),
         "attach": ("attach", "Show a flight that another terminal began, with its keys."),
+        "mocap": ("mocap", "Send the poses of motion capture to the vehicles, beside flights."),
         "flights": ("attach", "List the flights that run on this machine."),
         "verify": ("verify", "Verify a flight record."),
         "view": ("view", "Open a flight record, a plan or a recording in the Rerun viewer."),

@@ -568,8 +568,7 @@ class Team:
             self.signing.advance(now)
         if now > self._next_heartbeat - _ROUNDING:
             self._next_heartbeat = now + HEARTBEAT_INTERVAL
-            for route in self._routes.values():
-                route.unknown = 0
+            self.read_unknown_again()
             outgoing.extend(self._heartbeats())
         outgoing.extend(self._clock_requests(now, passed))
         for sysid, vehicle in self.vehicles.items():
@@ -585,12 +584,20 @@ class Team:
             if vehicle.asked_at <= since:
                 vehicle.asked_at += seconds
 
-    def _heartbeats(self) -> Iterable[Outgoing]:
-        spoken_to = {id(route) for ways in self._ways.values() for route in ways.values()}
+    def read_unknown_again(self) -> None:
+        """Read addresses without a vehicle again, as often as before."""
         for route in self._routes.values():
-            if route.address is None or id(route) in spoken_to:
-                data = self.sealed(route.link, route.encoder.encode(_OWN_HEARTBEAT))
-                yield Outgoing(route.link, route.address, data)
+            route.unknown = 0
+
+    def routes(self) -> list[Route]:
+        """Return the routes to the vehicles, and those that have one other end only."""
+        spoken_to = {id(route) for ways in self._ways.values() for route in ways.values()}
+        return [r for r in self._routes.values() if r.address is None or id(r) in spoken_to]
+
+    def _heartbeats(self) -> Iterable[Outgoing]:
+        for route in self.routes():
+            data = self.sealed(route.link, route.encoder.encode(_OWN_HEARTBEAT))
+            yield Outgoing(route.link, route.address, data)
 
     def _clock_requests(self, now: float, passed: float) -> Iterable[Outgoing]:
         """Yield clock requests to a few vehicles; ``passed`` seconds since the last tick."""

@@ -42,7 +42,8 @@ from swarm.ground.commissioning.check import Auditor, save_parameters, wanted_fe
 from swarm.ground.corrections import open_corrections
 from swarm.ground.emulator import EmulatorProcess, RealFirmware
 from swarm.ground.loop import Feed, Loop
-from swarm.ground.mocap import ANYWHERE, DatagramCapture, MocapBridge, open_capture
+from swarm.ground.mocap import Capture, DatagramCapture, MocapBridge, origin_of
+from swarm.ground.mocap_bridge import Borrowed, links_of, open_mocap
 from swarm.ground.operator import (
     CLIENT,
     TERMINAL,
@@ -55,10 +56,9 @@ from swarm.ground.record import Record
 from swarm.ground.record_reader import recorded_flight
 from swarm.ground.relay import Relay, open_forward
 from swarm.ground.signing_key import signing_with
-from swarm.ground.sockets import Links, open_links
+from swarm.ground.sockets import Links
 from swarm.ground.world_clock import WorldClock, open_clock
 from swarm.jit import sealed
-from swarm.mavlink.frames import Origin
 from swarm.mission.fleet import Fleet
 
 _MAX_QUEUED = 200
@@ -400,12 +400,11 @@ def fly(
     _refuse_unflyable(flight_plan, fleet, options)
     conductor = _conductor(flight_plan, fleet, options)
     with ExitStack() as resources:
-        links = open_links(fleet.links)
-        resources.callback(links.close)
+        links, borrowed = resources.enter_context(links_of(fleet, options.mocap))
         conductor.team.signing = resources.enter_context(signing_with(fleet.signing_key))
         record = Record(folder, time.time())
         resources.callback(record.close)
-        bridge, feeds = _open_feeds(conductor, options, resources)
+        bridge, feeds = _open_feeds(conductor, options, resources, borrowed)
         emulator = _start_emulator(flight_plan, fleet, links, folder, options, bridge)
         if emulator is not None:
             resources.callback(emulator.stop)
@@ -448,8 +447,9 @@ def fly(
             if forward is not None:
                 running.callback(forward.close)
             loop = Loop(
-                conductor, links, record, options.speed, tasks.run, preflight.relay, forward,
-                feeds=feeds, world=clock, start=started,
+                conductor, links, record, options.speed, tasks.run, preflight.relay,
+                [copy for copy in (forward, borrowed) if copy is not None], feeds=feeds,
+                world=clock, start=started,
             )  # fmt: skip
             loop.run()
             tasks.run(conductor.now)
@@ -517,27 +517,28 @@ def _followed_clock(
 
 
 def _open_feeds(
-    conductor: Conductor, options: FlyOptions, resources: ExitStack
+    conductor: Conductor, options: FlyOptions, resources: ExitStack, borrowed: Borrowed | None
 ) -> tuple[MocapBridge | None, list[Feed]]:
-    """Open what the vehicles get from other systems; the first value is the one of poses."""
-    bridge = _open_bridge(conductor, options)
-    if bridge is not None:
-        resources.callback(bridge.capture.close)
+    """Open what the vehicles get from other systems; the first value is our own one of poses."""
+    bridge = _open_bridge(conductor, options, resources) if borrowed is None else None
     corrections = resources.enter_context(
         open_corrections(options.rtcm, conductor.fleet, conductor.team)
     )
-    return bridge, [feed for feed in (bridge, corrections) if feed is not None]
+    return bridge, [feed for feed in (borrowed, bridge, corrections) if feed is not None]
 
 
-def _open_bridge(conductor: Conductor, options: FlyOptions) -> MocapBridge | None:
+def _open_bridge(
+    conductor: Conductor, options: FlyOptions, resources: ExitStack
+) -> MocapBridge | None:
     """Open the bridge from motion capture; that of the emulator sends to a free port."""
-    if options.mocap is None and not (options.firmware and options.positioning == "mocap"):
+    url, fleet = options.mocap, conductor.fleet
+    if url is None and not (options.firmware and options.positioning == "mocap"):
         return None
-    url = options.mocap
-    capture = DatagramCapture("127.0.0.1", 0) if url is None else open_capture(url)
-    place = conductor.fleet.origin
-    origin = Origin(place.latitude, place.longitude, place.altitude or 0.0) if place else ANYWHERE
-    return MocapBridge(capture, conductor.team, origin)
+    if url is None:
+        capture: Capture = DatagramCapture("127.0.0.1", 0)
+        resources.callback(capture.close)
+        return MocapBridge(capture, conductor.team, origin_of(fleet))
+    return resources.enter_context(open_mocap(url, fleet, conductor.team))
 
 
 def _start_emulator(

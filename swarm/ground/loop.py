@@ -14,7 +14,7 @@ import numpy as np
 
 from swarm.flight.router import Address, Outgoing
 from swarm.ground.record import Record
-from swarm.ground.relay import Forward, Relay
+from swarm.ground.relay import Relay
 from swarm.ground.sockets import Links
 from swarm.ground.world_clock import SHORTEST_WAIT, WorldClock
 from swarm.mission.fleet import Fleet
@@ -55,12 +55,19 @@ class Feed(Protocol):
         """Return an event, kind and words, when the system falls silent or comes back."""
 
 
+class Copy(Protocol):
+    """Another program that gets what the vehicles send."""
+
+    def from_vehicles(self, link: str, address: Address | None, data: bytes) -> None:
+        """Pass on bytes that arrived on a link from an address."""
+
+
 @dataclass
 class Loop:
     """Runs a conductor on links in real time, ``speed`` times faster.
 
     ``each_tick`` is called with the flight time after every tick and must be fast. ``relay``
-    forwards packets of other programs, ``forward`` copies what the vehicles send, ``feeds`` send
+    forwards packets of other programs, ``copies`` get what the vehicles send, ``feeds`` send
     them what other systems measure. ``lateness`` are the seconds between deadline and sending of
     every tick, ``cpu`` the share of one core.
     ``world`` is the clock of a simulated world that is followed instead of real time, and that
@@ -73,7 +80,7 @@ class Loop:
     speed: float
     each_tick: Callable[[float], None]
     relay: Relay | None = None
-    forward: Forward | None = None
+    copies: Sequence[Copy] = ()
     lateness: list[float] = field(default_factory=list)
     cpu: float = 0.0
     feeds: Sequence[Feed] = ()
@@ -138,8 +145,8 @@ class Loop:
             return  # a flood is not recorded
         if self.relay is not None:
             self.relay.from_vehicles(link, address, data)
-        if self.forward is not None:
-            self.forward.from_vehicles(link, address, data)
+        for copy in self.copies:
+            copy.from_vehicles(link, address, data)
         if self.record is not None:
             self.record.packet(data, now, "" if address is not None else link)
 

@@ -2,26 +2,31 @@
 
 Poses are ENU, of bodies FLU; messages are NED and FRD, in the one frame of the laboratory (fleet
 files: ``frame: shared``). Each has the time of its capture, from which autopilots correct jitter.
-The bridge ends with the ground station, and then the vehicles have no position. Laboratories'
-systems are read by :mod:`swarm.ground.mocap_child`.
+A bridge within the ground station ends with it, and then the vehicles have no position; the one of
+:mod:`swarm.ground.mocap_bridge` goes on. Laboratories' systems are read by
+:mod:`swarm.ground.mocap_child`.
 """
 
 import importlib.util
 import json
 import math
 import socket
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import urlsplit
 
 from pymavlink.dialects.v20 import common
 
 from swarm.errors import VehicleError, reason
-from swarm.flight.router import Outgoing, Team
+from swarm.flight.bodies import UNSEEN, Body, Pose
+from swarm.flight.router import Outgoing, Route, Team
 from swarm.ground.child_process import ChildError, RestartedProcess
 from swarm.mavlink.frames import Origin
+from swarm.mavlink.packets import Encoder
+from swarm.mission.fleet import Fleet
 
 _LARGEST_DATAGRAM = 65_536
 _ORIGIN_INTERVAL = 1.0
@@ -30,8 +35,8 @@ ANYWHERE = Origin(47.397742, 8.545594, 488.0)
 """Origin on the earth without one in the fleet file: ArduPilot arms with one only, and takes 0, 0
 for none. Nothing depends on the place: heading comes from motion capture too."""
 _UNKNOWN = math.nan
-UNSEEN = 0.5
-"""Seconds without a pose that are reported: ten ticks at the lowest rate, 20 Hz."""
+_RATE_WINDOW = 2.0
+"""Seconds over which poses are counted."""
 CONNECT_TIMEOUT = 10.0
 """Seconds within which a laboratory's system must answer, which may be starting."""
 _MODULE = "swarm.ground.mocap_child"
@@ -40,15 +45,6 @@ LABORATORY = (
     "freemotion", "mock",
 )  # fmt: skip
 """Systems that libmotioncapture reads, some of them only where it was built for them."""
-
-
-class Pose(NamedTuple):
-    """One body: seconds on the capture's clock, metres (ENU), quaternion w, x, y, z."""
-
-    system: int
-    time: float
-    position: tuple[float, float, float]
-    attitude: tuple[float, float, float, float]
 
 
 class DatagramCapture:
@@ -164,36 +160,75 @@ def open_capture(url: str) -> Capture:
     return DatagramCapture(host, port) if kind == "udp" else LaboratoryCapture(kind, host)
 
 
+def origin_of(fleet: Fleet) -> Origin:
+    """Return the origin that vehicles of a fleet get."""
+    place = fleet.origin
+    return Origin(place.latitude, place.longitude, place.altitude or 0.0) if place else ANYWHERE
+
+
+@dataclass
+class _Seen:
+    """Times of the latest poses of a body; the newest pose, and when it last differed."""
+
+    pose: Pose
+    changed: float
+    times: "deque[float]" = field(default_factory=deque)
+
+    def body(self, now: float) -> Body:
+        """Return what has come of the body by ``now``."""
+        latest = self.times[-1]
+        # copied at once: another thread may add poses
+        recent = [time for time in self.times.copy() if now - time <= _RATE_WINDOW]
+        rate = (len(recent) - 1) / (latest - recent[0]) if len(recent) > 1 else 0.0
+        return Body(self.pose, rate, now - latest, latest - self.changed)
+
+
 @dataclass
 class MocapBridge:
     """Sends each new pose to its vehicle, and an ``origin`` to vehicles that need one to arm.
 
-    Poses are stamped in flight time, in which the ground station answers TIMESYNC: PX4 takes poses
-    for what they say by that clock, and rejects those from the future. ``_behind`` is the flight
-    time less the capture's, least over all poses: of the pose that was delayed least.
+    Poses are stamped in the time of ``now``, that in which a ground station sends TIMESYNC: PX4
+    takes poses for what they say by that clock, and rejects those from the future. ``_behind`` is
+    that time less the capture's, least over all poses: of the pose that was delayed least.
+    With a ``sender``, system and component, packets have sequence numbers of their own.
     """
 
     capture: Capture
     team: Team
     origin: Origin = ANYWHERE
+    sender: tuple[int, int] | None = None
     _next_origin: float = 0.0
-    _seen: dict[int, float] = field(default_factory=dict)
+    _seen: dict[int, _Seen] = field(default_factory=dict)
     _behind: float = math.inf
     _missed: tuple[int, ...] = ()
+    _encoders: dict[tuple[Any, ...], Encoder] = field(default_factory=dict)
 
     def packets(self, now: float) -> Iterator[Outgoing]:
         """Yield the packets that are due at ``now``."""
         for pose in self.capture.latest():
-            self._seen[pose.system] = now
+            self._note(pose, now)
             self._behind = min(self._behind, now - pose.time)
-            yield from self._packet(pose.system, estimate(pose, pose.time + self._behind))
+            yield from self.to_vehicle(pose.system, estimate(pose, pose.time + self._behind))
         if now < self._next_origin:
             return
         self._next_origin = now + _ORIGIN_INTERVAL
         for system, vehicle in self.team.vehicles.items():
             kind = vehicle.autopilot
             if kind is not None and kind.needs_origin and vehicle.origin is None:
-                yield from self._packet(system, origin_message(system, self.origin))
+                yield from self.to_vehicle(system, origin_message(system, self.origin))
+
+    def _note(self, pose: Pose, now: float) -> None:
+        seen = self._seen.setdefault(pose.system, _Seen(pose, now))
+        if (pose.position, pose.attitude) != (seen.pose.position, seen.pose.attitude):
+            seen.changed = now
+        seen.pose = pose
+        seen.times.append(now)
+        while now - seen.times[0] > _RATE_WINDOW:
+            seen.times.popleft()
+
+    def bodies(self, now: float) -> Mapping[int, Body]:
+        """Return what has come of each body, by the system id of its vehicle."""
+        return {system: seen.body(now) for system, seen in list(self._seen.items())}
 
     def unseen(self, now: float) -> tuple[int, ...]:
         """Return the vehicles that have had poses, but none for UNSEEN seconds."""
@@ -201,7 +236,7 @@ class MocapBridge:
             sorted(
                 system
                 for system, seen in self._seen.items()
-                if system in self.team.vehicles and now - seen > UNSEEN
+                if system in self.team.vehicles and now - seen.times[-1] > UNSEEN
             )
         )
 
@@ -215,11 +250,20 @@ class MocapBridge:
         text = f"no pose of system {names} for {UNSEEN:g} s" if unseen else "has all poses again"
         return "motion capture", text
 
-    def _packet(self, system: int, message: Any) -> Iterator[Outgoing]:
+    def to_vehicle(self, system: int, message: Any) -> Iterator[Outgoing]:
+        """Yield the packet with a message for a vehicle, if it has been received."""
         route = self.team.way_to(system) if system in self.team.vehicles else None
         if route is not None:
-            data = self.team.sealed(route.link, route.encoder.encode(message))
-            yield Outgoing(route.link, route.address, data)
+            yield self.on_route(route, message)
+
+    def on_route(self, route: Route, message: Any) -> Outgoing:
+        """Return the packet with a message on a route."""
+        encoder = route.encoder
+        if self.sender is not None:
+            way = route.link, route.address
+            encoder = self._encoders.setdefault(way, Encoder(*self.sender))
+        data = self.team.sealed(route.link, encoder.encode(message))
+        return Outgoing(route.link, route.address, data)
 
 
 def estimate(pose: Pose, at: float) -> Any:

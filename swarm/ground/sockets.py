@@ -69,6 +69,10 @@ class Datagrams:
         """Close the socket."""
         self.socket.close()
 
+    def described(self) -> dict[str, Any]:
+        """Return what another process needs beside the descriptor, see :func:`borrowed_links`."""
+        return {"name": self.name, "address": self.address}
+
 
 @dataclass
 class Stream:
@@ -132,6 +136,10 @@ class Stream:
     def close(self) -> None:
         """Close the connection."""
         self.device.close()
+
+    def described(self) -> dict[str, Any]:
+        """Return what another process needs beside the descriptor, see :func:`borrowed_links`."""
+        return {"name": self.name, "max_unsent": self.max_unsent}
 
 
 Port = Datagrams | Stream
@@ -198,6 +206,24 @@ def open_links(urls: Mapping[str, str]) -> Links:
             one.close()
         raise VehicleError("\n".join(problems))
     return Links(opened)
+
+
+def borrowed_links(described: Iterable[Mapping[str, Any]], descriptors: Iterable[int]) -> Links:
+    """Return links that another process has opened and described; each has a descriptor here.
+
+    Only one process may receive on them; both may send.
+    """
+    ports: dict[str, Port] = {}
+    for words, descriptor in zip(described, descriptors, strict=True):
+        name = words["name"]
+        if "max_unsent" in words:
+            device = os.fdopen(descriptor, "r+b", buffering=0)
+            ports[name] = Stream(name, device, words["max_unsent"])
+        else:
+            address = words["address"]
+            datagrams = socket.socket(fileno=descriptor)
+            ports[name] = Datagrams(name, datagrams, tuple(address) if address else None)
+    return Links(ports)
 
 
 def _open(name: str, url: str) -> Port:

@@ -19,9 +19,11 @@ from swarm.ground.commissioning.mavsdk_client import LogDownload, newest_logs
 from swarm.ground.corrections import Corrections, open_corrections
 from swarm.ground.emulator import EmulatorProcess
 from swarm.ground.loop import Loop
+from swarm.ground.mocap import MocapBridge
+from swarm.ground.mocap_bridge import Borrowed, links_of, open_mocap
 from swarm.ground.relay import Relay
 from swarm.ground.signing_key import signing_with
-from swarm.ground.sockets import Links, open_links
+from swarm.ground.sockets import Links
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
 
@@ -36,13 +38,14 @@ _POLL = 0.1
 class Survey:
     """A fleet on open links; ``relay`` has a loopback endpoint for each vehicle.
 
-    ``corrections`` go to the vehicles' receivers meanwhile.
+    ``corrections`` go to the vehicles' receivers meanwhile, and ``poses`` to the vehicles.
     """
 
     listener: FleetListener
     relay: Relay
     links: Links
     corrections: Corrections | None = None
+    poses: Borrowed | MocapBridge | None = None
     _pause: threading.Event = field(default_factory=threading.Event)
 
     def run(self, work: Callable[[], T]) -> T:
@@ -63,8 +66,11 @@ class Survey:
 
         thread = threading.Thread(target=run_work, name="survey", daemon=True)
         thread.start()
-        feeds = [self.corrections] if self.corrections is not None else []
-        Loop(self.listener, self.links, None, 1.0, lambda _: None, self.relay, feeds=feeds).run()
+        feeds = [feed for feed in (self.poses, self.corrections) if feed is not None]
+        copies = [self.poses] if isinstance(self.poses, Borrowed) else []
+        Loop(
+            self.listener, self.links, None, 1.0, lambda _: None, self.relay, copies, feeds=feeds
+        ).run()
         thread.join()
         if errors:
             raise errors[0]
@@ -103,17 +109,21 @@ class Survey:
 
 @contextmanager
 def open_survey(
-    fleet: Fleet, folder: Path, plan: Plan | None = None, rtcm: str | None = None
+    fleet: Fleet,
+    folder: Path,
+    plan: Plan | None = None,
+    rtcm: str | None = None,
+    mocap: str | None = None,
 ) -> Iterator[Survey]:
     """Open the links of a fleet, and start the emulator for an emulated one.
 
     ``folder`` is for the files of the emulator, whose vehicles stand on the pads of ``plan``.
-    ``rtcm`` is the address of a source of corrections.
+    ``rtcm`` is the address of a source of corrections, ``mocap`` of a motion capture system; the
+    links are those of a bridge that runs (:mod:`swarm.ground.mocap_bridge`).
     Raises :class:`InputError` if files cannot be written.
     """
     with ExitStack() as resources:
-        links = open_links(fleet.links)
-        resources.callback(links.close)
+        links, borrowed = resources.enter_context(links_of(fleet, mocap))
         listener = FleetListener(fleet)
         relay = Relay(listener.team)
         resources.callback(relay.close)
@@ -131,7 +141,10 @@ def open_survey(
                 emulator = EmulatorProcess(world, folder, port, 1.0, fleet.signing_key)
                 resources.callback(emulator.stop)
             source = open_corrections(rtcm, fleet, listener.team)
-            yield Survey(listener, relay, links, resources.enter_context(source))
+            poses: Borrowed | MocapBridge | None = borrowed
+            if borrowed is None and mocap is not None:
+                poses = resources.enter_context(open_mocap(mocap, fleet, listener.team))
+            yield Survey(listener, relay, links, resources.enter_context(source), poses)
         except OSError as error:
             raise InputError([Problem(str(folder), str(error.strerror or error))]) from None
 
