@@ -11,14 +11,20 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import click
 from rich.console import Console
 
-from swarm.cli.flight_session import CONSOLE, CONSOLE_CERTIFICATE, opened_console
+from swarm.cli.flight_session import (
+    CONSOLE,
+    CONSOLE_CERTIFICATE,
+    VIEW,
+    Displays,
+    opened_console,
+)
 from swarm.cli.inputs import FOLDER, JSON, print_json, refuse_option_conflicts
 from swarm.errors import InputError, Problem, Refused, VehicleError, reason
 from swarm.flight.snapshot import Event, Snapshot
@@ -28,6 +34,7 @@ from swarm.ground.record import control_socket
 from swarm.ground.record_reader import recorded_plan
 from swarm.reports.formatting import clock
 from swarm.reports.terminal import FlightScreen
+from swarm.view import feeds
 
 _POLL = 0.05
 _ANSWERS = 2.0
@@ -39,12 +46,14 @@ _DETACH = "d"
 
 @click.command()
 @click.argument("record", type=FOLDER, metavar="[RECORD]", required=False)
+@VIEW
 @CONSOLE
 @CONSOLE_CERTIFICATE
 @click.pass_context
 def attach(
     context: click.Context,
     record: Path | None,
+    view: feeds.Live | None,
     console: str | None,
     console_certificate: Path | None,
 ) -> None:
@@ -64,20 +73,24 @@ def attach(
     plan, terminal = recorded_plan(folder), Console()
     sender = _Sender(connection)
     signal.signal(signal.SIGINT, lambda *_: sender.line("interrupt"))
-    screen = FlightScreen(plan, terminal, keys=sys.stdin.isatty())
+    viewer = feeds.start(plan, None, view)
+    if viewer.message:
+        terminal.print(viewer.message, soft_wrap=True, highlight=False)
+    shown = Displays(FlightScreen(plan, terminal, keys=sys.stdin.isatty()), viewer)
     sender.line(f"name {getpass.getuser()} at an attached terminal")
     sender.line("watch")
     with (
         connection,
+        closing(viewer),
         opened_console(folder, console, certificate, terminal),
-        screen,
+        shown.screen,
         terminal_keys(sender.key) as poll_keys,
     ):
         for item in _watched(connection):
             if isinstance(item, Snapshot):
-                screen.show(item)
+                shown.on_snapshot(item)
             elif isinstance(item, Event):
-                screen.event(item)
+                shown.on_event(item)
             poll_keys()
             if sender.detached:
                 terminal.print("Detached: the flight goes on.", highlight=False)

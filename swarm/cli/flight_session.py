@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 import click
 from rich.console import Console
@@ -32,6 +33,14 @@ RTCM = click.option(
 )
 
 
+VIEW = click.option(
+    "--view",
+    is_flag=False,
+    flag_value="native",
+    type=click.Choice(get_args(feeds.Live)),
+    help="Show the flight in Rerun: its own window, or `web` for a page on this machine. "
+    "`foxglove` serves Foxglove, on this machine; with fly, it keeps flight.mcap in the record.",
+)
 CONSOLE = click.option(
     "--console",
     is_flag=False,

@@ -18,6 +18,7 @@ from swarm.cli.flight_session import (
     CONSOLE,
     CONSOLE_CERTIFICATE,
     RTCM,
+    VIEW,
     Displays,
     displays,
     end_flight,
@@ -227,14 +228,7 @@ class Options:
     help="With --fleet or --resume: follow the time in this file instead of the wall clock's. "
     "`swarm sitl --clock` writes it for vehicles that are simulated in another process.",
 )
-@click.option(
-    "--view",
-    is_flag=False,
-    flag_value="native",
-    type=click.Choice(get_args(feeds.Live)),
-    help="Show the flight in Rerun: its own window, or `web` for a page on this machine. "
-    "`foxglove` serves Foxglove, on this machine, and keeps flight.mcap in the record.",
-)
+@VIEW
 @YES
 @click.option(
     "--record",

@@ -128,7 +128,8 @@ def test_a_closed_terminal_and_another_that_attaches(tmp_path):
     assert re.fullmatch(
         rf"{tmp_path}/flight: fold, 0:\d\d\.\d of the plan, held: operator command", row
     )
-    second = Terminal(tmp_path, "attach", "flight")
+    second = Terminal(tmp_path, "attach", "flight", "--view", "foxglove")
+    second.until("live view: open connection ws://127.0.0.1:")
     second.until("a screen is attached again")
     os.write(second.master, b"r")
     second.until("Record: flight")
