@@ -452,6 +452,23 @@ def _snag(world: "Injector", _: Vehicle, fault: "Fault", on: bool) -> None:
         anchors.clear()
 
 
+@_kind("error", "body", reach="bodies", injected={})
+def _capture(_: "Injector", __: Vehicle, ___: "Fault", ____: bool) -> None:
+    """Let motion capture err: `sitl.server.MotionCapture` reads the fault in `Injector.active`."""
+
+
+@_kind("height", "lean", "turn", reach="emulated", injected={})
+def _handled(world: "Injector", v: Vehicle, fault: "Fault", on: bool) -> None:
+    """Have a person lift the standing vehicle, lean it to its right and backwards, turn it to its
+    left, and put it back: within ``duration``, see `Hands`."""
+    if on and v.landed and not v.armed:
+        world.hands[v.index] = Hands(
+            fault, world.now, v.bodies.position[v.index].copy(), float(v.bodies.yaw[v.index])
+        )
+    elif not on and (hands := world.hands.pop(v.index, None)) is not None:
+        hands.place(v.bodies, v.index, 1.0)
+
+
 SIM_PARAMETERS: dict[str, float | int] = {
     name: default
     for kind in KINDS.values()
@@ -492,6 +509,7 @@ def fault_of_parameter(name: str, parameters: Parameters) -> tuple[str, Values |
     return (first, None) if first else None
 
 
+CaptureError = Literal["swapped", "mirrored", "turned", "flipping", "frozen", "lost"]
 _Metres = Annotated[float, Field(ge=-1e4, le=1e4)]
 _Wind = Annotated[float, Field(ge=-100.0, le=100.0)]
 _Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -560,6 +578,22 @@ class Fault(BaseModel):
         default=None,
         description="metres by which the grip moves along the cable; none: the cable leaves it",
     )
+    error: CaptureError = Field(
+        default="lost",
+        description="of motion capture: swapped with another body; mirrored at the plane x = 0; "
+        "turned by 90 degrees on its vehicle; flipping by 180 degrees each half second; frozen; "
+        "lost",
+    )
+    body: int | None = Field(default=None, description="system id whose body is swapped with it")
+    height: Annotated[float, Field(ge=0.0, le=3.0)] = Field(
+        default=0.5, description="metres by which a person lifts the vehicle"
+    )
+    lean: Annotated[float, Field(ge=0.0, le=1.2)] = Field(
+        default=0.6, description="radians by which a person leans the vehicle"
+    )
+    turn: Annotated[float, Field(ge=0.0, le=3.0)] = Field(
+        default=1.0, description="radians by which a person turns the vehicle"
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> "Fault":
@@ -568,6 +602,10 @@ class Fault(BaseModel):
         if extra:
             known = ", ".join(keys) or "no further keys"
             raise ValueError(f"{self.kind}: expected {known}, got {', '.join(extra)}")
+        if self.kind == "handled" and not self.duration:
+            raise ValueError("handled: expected a duration above 0: a person puts it back")
+        if self.kind == "capture" and (self.error == "swapped") != (self.body is not None):
+            raise ValueError("capture: expected a body with swapped, and with nothing else")
         return self
 
 
@@ -701,6 +739,8 @@ class Channel:
         return arrived
 
 
+_HELD = 9.81
+"""Thrust in m/s² that stands for the attitude of a vehicle in a person's hands."""
 _SLIDE_SPEED, _LARGEST_SLIDE_SPEED = 1.0, 3.0
 """m/s at twice the friction, and at most."""
 
@@ -712,6 +752,47 @@ class Anchor:
     fault: Fault
     position: Array
     holds: bool = True
+
+
+@dataclass
+class Hands:
+    """A person who moves a vehicle from its place (3,) and yaw, and back."""
+
+    fault: Fault
+    began: float
+    position: Array
+    yaw: float
+
+    def place(self, b: Bodies, i: int, share: float) -> None:
+        """Place vehicle ``i`` as after a share of the time."""
+        fault = self.fault
+        lean_right = fault.lean * _bump(share, 0.1, 0.4)
+        lean_back = fault.lean * _bump(share, 0.35, 0.65)
+        yaw = self.yaw + fault.turn * _bump(share, 0.6, 0.9)
+        b.position[i] = self.position
+        b.position[i, 2] += fault.height * _bump(share, 0.0, 1.0)
+        b.velocity[i] = 0.0
+        b.yaw[i] = b.goal_yaw[i] = yaw
+        b.goal_position[i] = b.position[i]
+        # an attitude is that of the thrust
+        back, right = math.sin(lean_back), math.sin(lean_right) * math.cos(lean_back)
+        up = math.cos(lean_right) * math.cos(lean_back)
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        b.thrust[i] = (
+            _HELD * (right * sin - back * cos),
+            _HELD * (-right * cos - back * sin),
+            _HELD * up,
+        )
+        b.thrust_rate[i] = 0.0
+        if share >= 1.0:
+            b.thrust[i] = 0.0
+
+
+def _bump(share: float, start: float, end: float) -> float:
+    """Return a smooth value between 0 and 1 that is 0 outside of start and end."""
+    if not start < share < end:
+        return 0.0
+    return math.sin(math.pi * (share - start) / (end - start)) ** 2
 
 
 class Injector:
@@ -740,6 +821,7 @@ class Injector:
         self.initial_wind = (tuple(bodies.steady_wind[0].tolist()), bodies.gust_intensity)
         self.drifts: dict[int, float] = {}
         self.anchors: list[Anchor] = []
+        self.hands: dict[int, Hands] = {}
         self._timers: list[tuple[float, int, Callable[[], None]]] = []
         self._count = 0
         for fault in faults:
@@ -750,7 +832,8 @@ class Injector:
         ids = [fault.vehicle] if isinstance(fault.vehicle, int) else fault.vehicle
         if ids == "all":
             ids = list(self.by_id)
-        unknown = sorted(set(ids) - set(self.by_id))
+        named = set(ids) | ({fault.body} if fault.body is not None else set())
+        unknown = sorted(named - set(self.by_id))
         if unknown:
             raise WorldError(f"faults: expected vehicles of the world, got {unknown}")
         if KINDS[fault.kind].reach == "world":
@@ -794,6 +877,8 @@ class Injector:
             for i, rate in self.drifts.items():
                 self.bodies.bias[i, 2] += rate * STEP
                 self.vehicles[i].barometer += rate * STEP
+        for i, hands in self.hands.items():
+            hands.place(self.bodies, i, (now - hands.began) / (hands.fault.duration or STEP))
         return changed
 
     def start(self, fault: Fault, sysid: int) -> None:

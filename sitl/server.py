@@ -23,6 +23,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from sitl.autopilots import telemetry
 from sitl.emulator import Emulator, Truth
 from sitl.physics.dynamics import STEP
 from sitl.protocol.vehicle import Vehicle
@@ -47,8 +48,9 @@ killed does not come back, and its vehicles' failsafes are to be seen."""
 class MotionCapture:
     """The vehicles' true poses in an emulated laboratory, late and noisy as the world says, by UDP.
 
-    One JSON datagram for each frame, every step of the world: ``{"time": seconds, "bodies": {"1":
-    [x, y, z, qw, qx, qy, qz]}}``: system ids; world ENU, body FLU.
+    Faults of the kind ``capture`` change what is seen of a vehicle. One JSON datagram for each
+    frame, every step of the world: ``{"time": seconds, "bodies": {"1": [x, y, z, qw, qx, qy,
+    qz]}}``: system ids; world ENU, body FLU.
     """
 
     def __init__(self, emulator: Emulator, target: tuple[str, int]) -> None:
@@ -56,6 +58,7 @@ class MotionCapture:
         self._delay, self._noise = emulator.world.capture.delay, emulator.world.capture.noise
         self._rng = np.random.default_rng([emulator.world.seed, len(emulator.vehicles)])
         self._waiting: deque[tuple[float, bytes]] = deque()
+        self._frozen: dict[int, list[float]] = {}
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
@@ -74,18 +77,49 @@ class MotionCapture:
         """Return the present frame."""
         b, outside = self._emulator.bodies, self._emulator.outside
         position = b.position + self._noise * self._rng.standard_normal((b.count, 3))
-        attitude = np.zeros((b.count, 4))
-        attitude[:, 0], attitude[:, 3] = np.cos(0.5 * b.yaw), np.sin(0.5 * b.yaw)
+        attitude = np.array([_attitude(vehicle) for vehicle in self._emulator.vehicles])
         if outside is not None:
             attitude[outside.rows] = outside.state[:, 6:10]
         rows = np.hstack([position, attitude]).round(6).tolist()
-        ids = (str(vehicle.system) for vehicle in self._emulator.vehicles)
-        frame = {"time": self._emulator.time, "bodies": dict(zip(ids, rows, strict=True))}
+        ids = [vehicle.system for vehicle in self._emulator.vehicles]
+        seen = self._as_seen(dict(zip(ids, rows, strict=True)))
+        frame = {"time": self._emulator.time, "bodies": {str(k): row for k, row in seen.items()}}
         return json.dumps(frame).encode("ascii")
+
+    def _as_seen(self, bodies: dict[int, list[float]]) -> dict[int, list[float]]:
+        """Return the poses [x, y, z, qw, qx, qy, qz] of bodies with the errors of the system."""
+        active = self._emulator.injector.active
+        faults = [(fault, system) for fault, system in active if fault.kind == "capture"]
+        frozen = {system for fault, system in faults if fault.error == "frozen"}
+        self._frozen = {system: self._frozen.get(system, bodies[system]) for system in frozen}
+        for fault, system in faults:
+            x, y, z, qw, qx, qy, qz = bodies.get(system, [0.0] * 7)
+            if fault.error == "lost":
+                bodies.pop(system, None)
+            elif fault.error == "frozen":
+                bodies[system] = self._frozen[system]
+            elif fault.error == "mirrored":
+                bodies[system] = [-x, y, z, qw, qx, -qy, -qz]
+            elif fault.error == "flipping" and self._emulator.time % 1.0 < 0.5:
+                bodies[system] = [x, y, z, -qz, qy, -qx, qw]
+            elif fault.error == "turned":
+                w, v = math.sqrt(0.5), math.sqrt(0.5)
+                turned = [w * qw - v * qz, w * qx + v * qy, w * qy - v * qx, w * qz + v * qw]
+                bodies[system] = [x, y, z, *turned]
+            elif fault.error == "swapped" and {system, fault.body} <= set(bodies):
+                other = int(fault.body or 0)
+                bodies[system], bodies[other] = bodies[other], bodies[system]
+        return bodies
 
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
+
+
+def _attitude(vehicle: Vehicle) -> tuple[float, float, float, float]:
+    """Return the quaternion (w, x, y, z) of a vehicle's attitude: world ENU, body FLU."""
+    roll, pitch, yaw = telemetry.attitude(vehicle)
+    return telemetry.quaternion(roll, -pitch, 0.5 * math.pi - yaw)
 
 
 @dataclass
