@@ -11,7 +11,7 @@ from rich.console import Console
 
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding
-from swarm.cli.flight_session import RTCM
+from swarm.cli.flight_session import MOCAP, RTCM, require_laboratory
 from swarm.cli.inputs import (
     FILE,
     FOLDER,
@@ -75,6 +75,7 @@ class Options:
     speed: float
     clock: Path | None
     rtcm: str | None
+    mocap: str | None
     fence: bool
     yes: bool
 
@@ -93,6 +94,8 @@ class Options:
             problems.append(Problem("--clock", "expected --fleet and --hop"))
         if self.rtcm is not None and self.fleet_file is None:
             problems.append(Problem("--rtcm", "expected --fleet: emulated receivers have RTK"))
+        if self.mocap is not None and self.fleet_file is None:
+            problems.append(Problem("--mocap", "expected --fleet"))
         if problems:
             raise InputError(problems)
         require_clock(self.clock)
@@ -164,6 +167,7 @@ class Options:
     type=FILE,
     help="The hop follows the time in this file, as `swarm fly --clock`.",
 )
+@MOCAP
 @RTCM
 @YES
 @click.pass_context
@@ -173,7 +177,8 @@ def check(context: click.Context, /, **options: Any) -> None:
     MISSION is a mission or plan file, or the name of a knot.
 
     Checks links, firmware, health, batteries, positions, parameters, origins, clocks and the Hold
-    mode. Parameters are saved first. Only --hop arms vehicles. Exit code 0 for go, 1 for no-go, 3
+    mode, and the poses of motion capture, where `swarm mocap` or --mocap sends them. Parameters are
+    saved first. Only --hop arms vehicles. Exit code 0 for go, 1 for no-go, 3
     if vehicles, links or logs are missing.
 
     Example: swarm check missions/overhand.yaml --fleet fleet.yaml --soak 60
@@ -183,6 +188,7 @@ def check(context: click.Context, /, **options: Any) -> None:
         context.exit(_fetch_logs(given, given.logs))
     given.require_others()
     fleet = load_fleet(given.fleet_file) if given.fleet_file else None
+    require_laboratory(given.mocap, fleet)
     before = read_text(given.fleet_file, LARGEST_FILE) if given.fleet_file else None
     # a hop measures anew: an earlier measurement must not prevent it
     known = None if given.with_hop else fleet
@@ -199,7 +205,10 @@ def check(context: click.Context, /, **options: Any) -> None:
         confirm_fix = _fix_question(console, progress, yes=given.yes) if given.fix else None
         report = check_fleet(
             fleet, folder, flight_plan,
-            CheckOptions(given.soak, confirm_fix, given.restore, progress, given.rtcm, given.fence),
+            CheckOptions(
+                given.soak, confirm_fix, given.restore, progress, given.rtcm, given.fence,
+                given.mocap,
+            ),
         )  # fmt: skip
     hop_result, measured = None, None
     if flight_plan is not None:
@@ -270,6 +279,7 @@ def _fly_hop(
             speed=given.speed,
             world_clock=given.clock,
             rtcm=given.rtcm,
+            mocap=given.mocap,
             callbacks=FlightCallbacks(on_snapshot=screen.show, on_event=screen.event),
         )
 
@@ -294,7 +304,7 @@ def _fetch_logs(given: Options, folder: Path) -> int:
     """Fetch every vehicle's newest log, print the paths, and return the exit code."""
     checks = (
         given.mission, given.fix, given.restore, given.soak, given.with_hop, given.sheet,
-        given.clock, given.rtcm, given.fence,
+        given.clock, given.rtcm, given.mocap, given.fence,
     )  # fmt: skip
     if any(checks) or given.record:
         raise click.UsageError("--logs can be combined with --fleet and --json only")

@@ -18,6 +18,8 @@ from swarm.files import write_text
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.corrections import parse_source
+from swarm.ground.mocap import parse_url
+from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
 from swarm.reports.flight import flight_report, outcome_object, print_outcome
 from swarm.reports.terminal import FlightScreen
@@ -31,6 +33,20 @@ RTCM = click.option(
     help="Send corrections (RTCM 3) to the vehicles' receivers: ntrip://[USER:PASSWORD@]HOST[:PORT]"
     "/MOUNTPOINT (ntrips: with TLS), serial://DEVICE[:BAUD], udp://HOST:PORT, or file:PATH.",
 )
+MOCAP = click.option(
+    "--mocap",
+    metavar="KIND://HOST",
+    type=Address(parse_url),
+    help="Send the poses of a motion capture system to the vehicles (fleets with frame: shared), "
+    "where no `swarm mocap` does: vicon, optitrack, qualisys, vrpn and others of libmotioncapture, "
+    "or udp://HOST:PORT.",
+)
+
+
+def require_laboratory(mocap: str | None, fleet: Fleet | None) -> None:
+    """Raise :class:`InputError` for poses for a fleet that has no place for them."""
+    if mocap and fleet is not None and fleet.frame != "shared":
+        raise InputError(f"--mocap: expected a fleet with frame: shared, got {fleet.frame}")
 
 
 VIEW = click.option(

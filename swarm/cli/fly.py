@@ -17,12 +17,14 @@ from swarm.certification.findings import Finding
 from swarm.cli.flight_session import (
     CONSOLE,
     CONSOLE_CERTIFICATE,
+    MOCAP,
     RTCM,
     VIEW,
     Displays,
     displays,
     end_flight,
     opened_console,
+    require_laboratory,
 )
 from swarm.cli.inputs import (
     FILE,
@@ -47,7 +49,6 @@ from swarm.flight.training import require_emulated
 from swarm.front.files import load_fleet
 from swarm.ground.flight_process import FlightRequest, fly_in_process
 from swarm.ground.fly import FlightCallbacks, FlyOptions, Unattended
-from swarm.ground.mocap import parse_url
 from swarm.ground.record import control_socket, new_record_folder
 from swarm.ground.record_reader import (
     recorded_certificate,
@@ -214,13 +215,7 @@ class Options:
     help="With --firmware: how these vehicles know their position, as `swarm sitl --positioning`.  "
     "[default: rtk]",
 )
-@click.option(
-    "--mocap",
-    metavar="KIND://HOST",
-    type=Address(parse_url),
-    help="Send the poses of a motion capture system to the vehicles (fleets with frame: shared): "
-    "vicon, optitrack, qualisys, vrpn and others of libmotioncapture, or udp://HOST:PORT.",
-)
+@MOCAP
 @RTCM
 @click.option(
     "--clock",
@@ -324,8 +319,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
     source = load_source(
         given.mission, given.overrides, replan=given.replan, flight=True, fleet=fleet
     )
-    if given.mocap and fleet is not None and fleet.frame != "shared":
-        raise InputError(f"--mocap: expected a fleet with frame: shared, got {fleet.frame}")
+    require_laboratory(given.mocap, fleet)
     if fleet is not None and isinstance(source.given, Mission):
         require_fleet(source.given, fleet)
     planned = source.planned()

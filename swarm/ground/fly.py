@@ -21,6 +21,7 @@ import numpy as np
 
 from swarm import precompile
 from swarm.errors import InputError, Problem, Refused, SwarmError
+from swarm.flight.bodies import pose_rows
 from swarm.flight.conductor import Conductor
 from swarm.flight.fleet_listener import position_quality
 from swarm.flight.flight_plan import Audit, ComparisonFlight, FlightPlan, go, require_tracking
@@ -119,7 +120,8 @@ class Preflight:
     """Audits the vehicles and obtains the confirmation.
 
     Without a ``relay`` the vehicles are not audited; without ``confirm`` an audit without errors
-    is enough. Parameters are saved in ``folder``.
+    is enough. Parameters are saved in ``folder``. ``poses`` are what vehicles get from motion
+    capture, where that is known.
     """
 
     conductor: Conductor
@@ -127,6 +129,7 @@ class Preflight:
     confirm: Callable[[Audit], bool] | None = None
     relay: Relay | None = None
     started: bool = False
+    poses: MocapBridge | Borrowed | None = None
     _decision: "queue.SimpleQueue[Audit | str]" = field(default_factory=queue.SimpleQueue)
 
     def start(self, audit: Audit) -> None:
@@ -173,6 +176,10 @@ class Preflight:
         if gps:
             tracking = plan.mission.vehicles.tracking
             found += [position_quality(f"system {v.system}", v, fleet, tracking) for v in flyers]
+        if self.poses is not None:
+            now = self.conductor.now
+            rows = pose_rows(flyers, self.poses.bodies(now), now, positions=True)
+            found += [row.finding() for row in rows]
         wanted = wanted_fence(plan, flyers, fleet)
         if wanted is not None:
             found += [vehicle.fence_finding(wanted) for vehicle in audits]
@@ -425,7 +432,7 @@ def fly(
         def console(author: str = TERMINAL) -> OperatorConsole:
             return OperatorConsole(conductor, conductor.available, author)
 
-        preflight = Preflight(conductor, folder, callbacks.confirm)
+        preflight = Preflight(conductor, folder, callbacks.confirm, poses=borrowed or bridge)
         with ExitStack() as running:
             running.enter_context(sealed())
             control = None

@@ -49,13 +49,14 @@ def fly_hop(
     speed: float = 1.0,
     world_clock: Path | None = None,
     rtcm: str | None = None,
+    mocap: str | None = None,
     callbacks: FlightCallbacks | None = None,
 ) -> HopResult:
     """Fly the hop of a plan, see :mod:`swarm.flight.bench_flight`, and return the hover errors.
 
     The record of the hop goes to ``folder``. ``speed`` is a multiple of real time, for emulated
     fleets only; with the ``world_clock`` of vehicles simulated elsewhere, the hop follows it.
-    ``rtcm`` is the address of a source of corrections.
+    ``rtcm`` is the address of a source of corrections, ``mocap`` of a motion capture system.
     """
     options = FlyOptions(
         speed=speed,
@@ -64,6 +65,7 @@ def fly_hop(
         error_limit=ERROR_LIMIT,
         world_clock=world_clock,
         rtcm=rtcm,
+        mocap=mocap,
     )
     result = fly(hop_flight, fleet, folder, options, callbacks)
     measured, found = hovers(result.trace), hover_findings(result.trace, flight_plan)

@@ -15,6 +15,7 @@ from swarm.flight.parameters import ParameterResult
 from swarm.ground.commissioning.check import CheckReport, VehicleAudit
 from swarm.ground.commissioning.survey import LogDownload
 from swarm.ground.hop import HopResult
+from swarm.reports.mocap import poses_object, poses_table
 from swarm.reports.result import SEVERITIES, Cell, Table, drawn
 
 
@@ -43,6 +44,7 @@ def check_object(
             }
             for link in report.links
         ],
+        "poses": poses_object(report.poses),
         "parameters_set": list(report.parameters_set),
         "order": list(report.order),
         "findings": [finding_object(finding) for finding in report.findings],
@@ -102,8 +104,11 @@ def print_check(report: CheckReport, console: Console) -> None:
     wrong = [row for vehicle in report.vehicles for row in vehicle.deviations]
     if wrong:
         console.print(drawn(parameter_table(wrong)))
-    # parameters have a table of their own
-    findings = [finding for finding in report.findings if finding.check != "parameters"]
+    if report.poses:
+        console.print(drawn(poses_table(report.poses)))
+    # parameters and poses have tables of their own
+    tables = {"parameters", "poses"}
+    findings = [finding for finding in report.findings if finding.check not in tables]
     rows = [
         (Cell(severity, SEVERITIES[severity]), check, words)
         for severity, check, words in in_common(findings)

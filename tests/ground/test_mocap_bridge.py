@@ -13,17 +13,21 @@ from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
+from rich.console import Console
 
 from swarm.cli.mocap import Screen
 from swarm.errors import Refused, VehicleError
 from swarm.flight.bodies import Body, Pose, PoseRow, pose_rows
 from swarm.flight.router import Outgoing
+from swarm.flight.world import bare_world
 from swarm.ground import mocap_bridge
+from swarm.ground.commissioning.check import CheckOptions, check
 from swarm.ground.mocap_bridge import BridgeState, claimed, links_of, running_bridge
 from swarm.mavlink.packets import Encoder
 from swarm.mavlink.vehicle import Vehicle
 from swarm.mission.fleet import emulated_fleet, parse_fleet
-from swarm.reports.mocap import bridge_object, bridge_words, poses_table
+from swarm.reports.check import check_object, print_check
+from swarm.reports.mocap import bridge_object, bridge_words, poses_object, poses_table
 from tests.command import run
 
 SWARM = Path(sys.executable).with_name("swarm")
@@ -378,3 +382,41 @@ def test_a_terminal_that_stands_still_stops_nothing():
         assert time.monotonic() - began < 5.0
     assert console.asked == 1
     console.goes_on.set()
+
+
+@pytest.mark.usefixtures("in_real_time")
+def test_a_check_says_what_each_vehicle_gets(tmp_path, capsys):
+    """Two emulated vehicles in a world of its own; the second one's autopilot is elsewhere."""
+    port, frames = free_port(), free_port()
+    file = tmp_path / "lab.yaml"
+    text = fleet_text(port).replace("links: [net]}", "links: [net], autopilot: px4}")
+    file.write_text(text)
+    fleet = parse_fleet(text, "lab.yaml")
+    world = bare_world(fleet) | {"biases": "default"}
+    (tmp_path / "world.json").write_text(json.dumps(world))
+    (tmp_path / "faults.yaml").write_text(
+        "{schema: 1, faults: [{at: 0, kind: capture, vehicle: 2, error: frozen}]}"
+    )
+    sitl = [SWARM, "sitl", "--world", tmp_path / "world.json", "--target", f"127.0.0.1:{port}"]
+    sitl += ["--mocap", f"127.0.0.1:{frames}", "--scenario", tmp_path / "faults.yaml"]
+    with ExitStack() as stack:
+        emulator = stack.enter_context(
+            subprocess.Popen(sitl, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL)
+        )
+        stack.callback(emulator.terminate)
+        assert emulator.stdout.readline()
+        options = CheckOptions(mocap=f"udp://127.0.0.1:{frames}")
+        report = check(fleet, tmp_path / "check", options=options)
+    good, frozen = report.poses
+    assert (good.system, good.problem, frozen.system) == (1, "", 2)
+    assert good.rate > 10.0
+    assert good.distance < 0.2
+    assert frozen.problem.startswith("no digit of its pose has changed for ")
+    (line,) = [item for item in report.checklist() if item.check == "poses"]
+    assert (line.go, line.subject) == (True, "poses of motion capture")
+    assert line.message.startswith("warning: system 2: ")
+    shown = check_object(report, None, tmp_path)["poses"]
+    assert [row["system"] for row in shown] == [1, 2]
+    assert shown == poses_object(report.poses)
+    print_check(report, Console())
+    assert "no digit of its pose has changed" in capsys.readouterr().out

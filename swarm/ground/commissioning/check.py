@@ -20,6 +20,7 @@ from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding, Severity
 from swarm.errors import InputError, Problem, Refused, VehicleError
 from swarm.files import parse_json, read_bytes
+from swarm.flight.bodies import PoseRow, pose_rows
 from swarm.flight.fleet_listener import FleetListener, LinkQuality, radio_findings
 from swarm.flight.parameters import (
     STREAM_LOSS_TIME,
@@ -331,6 +332,7 @@ SUBJECTS = {
     "health": "health and arming",
     "battery": "battery",
     "position": "position quality",
+    "poses": "poses of motion capture",
     "corrections": "corrections of positions",
     "parameters": "parameters",
     "fence": "fences",
@@ -359,7 +361,8 @@ class ChecklistItem:
 class CheckReport:
     """The result of a check: vehicles, links, findings, and the parameters that were set.
 
-    ``order`` are the system ids in order along the cable; empty without a plan.
+    ``order`` are the system ids in order along the cable; empty without a plan. ``poses`` has a row
+    for each vehicle where a motion capture system is read, here or by a bridge that runs.
     """
 
     vehicles: tuple[VehicleAudit, ...]
@@ -367,6 +370,7 @@ class CheckReport:
     parameters_set: tuple[str, ...]
     findings: tuple[Finding, ...]
     order: tuple[int, ...] = ()
+    poses: tuple[PoseRow, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -412,6 +416,8 @@ class CheckOptions:
     - ``restore``: folder of an earlier check or flight whose saved parameters are set again.
     - ``fence``: upload the mission's fence to all vehicles, and enable it.
     - ``rtcm``: address of a source of corrections that are sent to the vehicles' receivers.
+    - ``mocap``: URL of a motion capture system whose poses are sent to the vehicles; without it,
+      those of a bridge that runs for the fleet are looked at.
     - ``progress``: called from another thread with the present step.
     """
 
@@ -421,6 +427,7 @@ class CheckOptions:
     progress: ProgressCallback = lambda *_: None
     rtcm: str | None = None
     fence: bool = False
+    mocap: str | None = None
 
 
 def check(
@@ -446,7 +453,7 @@ def check(
         for system in fleet.systems:
             _saved(options.restore, system)
     plan = flight_plan.plan if flight_plan else None
-    with open_survey(fleet, folder, plan, options.rtcm) as survey:
+    with open_survey(fleet, folder, plan, options.rtcm, options.mocap) as survey:
         return survey.run(_Check(survey, folder, plan, options).run)
 
 
@@ -611,10 +618,22 @@ class _Check:
         findings.extend(self.listener.frames_and_clocks(tracking))
         if self.survey.corrections is not None:
             findings.append(self.survey.corrections.finding(self.listener.now))
+        poses = self._poses()
+        findings.extend(row.finding() for row in poses)
         for link in links:
             findings.extend(link.findings(STREAM_LOSS_TIME, fleet.rates.position))
         findings.extend(radio_findings(fleet, plan.vehicles if plan else len(fleet.vehicles)))
-        return CheckReport(tuple(audits), tuple(links), tuple(changed), tuple(findings), order)
+        return CheckReport(
+            tuple(audits), tuple(links), tuple(changed), tuple(findings), order, poses
+        )
+
+    def _poses(self) -> tuple[PoseRow, ...]:
+        """Return what the vehicles get from motion capture, where it is known."""
+        source, listener = self.survey.poses, self.listener
+        if source is None:
+            return ()
+        bodies = source.bodies(listener.now)
+        return pose_rows(listener.received, bodies, listener.now, positions=True)
 
 
 def _enabled_fences(audits: Sequence[VehicleAudit]) -> dict[int, dict[str, float]]:
