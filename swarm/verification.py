@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.distances import TAUT, Tightest, segment_name
-from swarm.certification.kinds import MEASURED, measured_distances
+from swarm.certification.distances import TAUT, Samples, Tightest, segment_name
+from swarm.certification.kinds import FIGURES, MEASURED, Flown, measured_distances
 from swarm.certification.topology import cable_curve, layout_code, ties_planned_knot
 from swarm.errors import SwarmError
 from swarm.flight.trace import Trace
@@ -48,10 +48,11 @@ class Verification:
     ``knot``, ``chirality`` and ``gauss`` are of the modelled cable at the last reported positions
     of the hold; "unknown" and "" without such positions. ``as_planned`` is true if the knot is that
     of the plan (:func:`swarm.certification.topology.ties_planned_knot`). ``distances``
-    are the smallest at reported positions in fold and hold, with mission times, by their keys in
-    files (:data:`swarm.certification.kinds.MEASURED`); None without positions, or without two such
-    bodies. ``max_chord_ratio`` is the
-    largest ratio of chord to length of a segment in fold and hold.
+    are the smallest of each kind of clearance at the moments to which its certificate applies, at
+    reported positions or sent setpoints (:attr:`.Kind.flown_by`), with mission times, by their keys
+    in files (:data:`swarm.certification.kinds.MEASURED`); None without positions, or without two
+    such bodies. ``max_chord_ratio`` is the largest ratio of chord to length of a segment in fold
+    and hold.
     """
 
     knot: str
@@ -72,7 +73,7 @@ def verify_trace(plan: Plan, trace: Trace) -> Verification:
         plan, trace.position[known & (phase == "hold")]
     )
     folding = known & np.isin(phase, ["fold", "hold"])
-    place, time = trace.position[folding], trace.mission_time[folding]
+    place, planned = trace.position[folding], phase != ""
     max_chord_ratio = None
     if len(place) and len(plan.layout.lengths):
         chords = np.linalg.norm(np.diff(place, axis=1), axis=-1) / plan.layout.lengths
@@ -82,7 +83,10 @@ def verify_trace(plan: Plan, trace: Trace) -> Verification:
         chirality=chirality,
         gauss=gauss,
         as_planned=as_planned,
-        distances=measured_distances(plan, place, time),
+        distances=measured_distances(
+            plan,
+            Flown(trace.mission_time[planned], trace.position[planned], trace.setpoint[planned]),
+        ),
         max_chord_ratio=max_chord_ratio,
         tracking=tracking_errors(trace),
         notes=notes,
@@ -97,10 +101,12 @@ def closest_pairs(plan: Plan, position: Floats, *, cable: bool) -> tuple[Tightes
     """
     if not np.isfinite(position).all():
         return ()
-    place, time = position[None], np.zeros(1)
+    moment = Samples(plan, position[None], np.zeros(1))
     found = [
-        kind.measured(plan, place, time)
-        for kind in sorted(MEASURED.values(), key=lambda kind: kind.when != "always")
+        kind.measured(moment)
+        for kind in sorted(
+            (MEASURED[key] for key in FIGURES), key=lambda kind: kind.when != "always"
+        )
         if kind.measured and (cable or kind.when == "always")
     ]
     return tuple(tightest for tightest in found if tightest is not None)

@@ -20,13 +20,14 @@ def hover(tmp_path_factory):
     return said, Reader(page.read_text()).words
 
 
-def test_a_flight_without_cable_has_no_line_on_knots_and_no_empty_table(hover):
+def test_a_flight_without_cable_has_no_line_on_knots_and_distances_of_vehicles_alone(hover):
     said, words = hover
     assert said.returncode == 0
     after = said.stdout.split("phase finished\n")[1].splitlines()
     assert after[0] == "Done: all vehicles have landed and disarmed."
-    assert after[1].startswith("Tracking error in the fold: 0.0")
-    assert len(after) == 3
+    assert after[2].startswith("vehicle to ceiling")
+    assert after[3].startswith("Tracking error in the fold: 0.0")
+    assert len(after) == 5
     assert "quasi-static" not in said.stdout
     assert said.stdout.splitlines()[0] == (
         "Cleared: distances between vehicles, tracking errors up to 0.10 m. "
@@ -34,7 +35,8 @@ def test_a_flight_without_cable_has_no_line_on_knots_and_no_empty_table(hover):
     )
     assert "Planned knot: no knot" in words
     assert "imply" not in words
-    assert "Smallest distances" not in words
+    assert "Smallest distances" in words
+    assert "cable to" not in words
 
 
 def test_a_flight_that_ends_before_the_fold_has_no_table_of_distances():

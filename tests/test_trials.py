@@ -29,6 +29,7 @@ from swarm.simulation.summaries import (
     summary,
     worst_trials,
 )
+from swarm.simulation.trials import DISTANCES as EVERY_DISTANCE
 from swarm.simulation.trials import Trial, fly_trial, fly_trials, workers_starting, write_results
 from tests.children import children
 from tests.network import small_plan, uncleared
@@ -52,7 +53,7 @@ DISTANCES = {"cable": 0.5, "vehicle": 2.0, "vehicle_cable": 0.6, "emulated_cable
 def trial(number: int = 0, *, distances=(), **changed) -> Trial:
     usual = Trial(
         number=number, outcome="done", reason="", explanation="", knot="0_1", as_planned=True,
-        distances={**DISTANCES, **dict(distances)}, tracking_error=0.05, rotor_strikes=0, collisions=0,
+        distances={**dict.fromkeys(EVERY_DISTANCE), **DISTANCES, **dict(distances)}, tracking_error=0.05, rotor_strikes=0, collisions=0,
         crashes=0, wind=0.1, gust=0.0, failure="", failure_time=None, duration=100.0,
     )  # fmt: skip
     return replace(usual, **changed)

@@ -40,6 +40,9 @@ from swarm.planning import Plan
 from swarm.planning.phase_motion import usable_acceleration
 from swarm.planning.phase_order import finish_of
 
+NO_DISTANCE = Tightest(float("inf"), 0.0, 0.0, ("", ""))
+"""The tightest of objects that a plan does not have."""
+
 TIGHTEST = 5
 """Number of tightest moments in every report."""
 
@@ -103,6 +106,19 @@ class Assessment:
         """The TIGHTEST moments of all clearances, tightest first."""
         distances = [moment for moment in self.moments if kind_of(moment.check).listed]
         return tuple(sorted(distances, key=lambda moment: moment.margin)[:TIGHTEST])
+
+    def certified(self, key: str) -> Tightest:
+        """Return the tightest of what has this key in flights (:data:`.kinds.MEASURED`).
+
+        The certificate's own under a key that it has in files; infinite where a plan has none.
+        """
+        if key in self.distances:
+            return self.distances[key]
+        moments = [moment for moment in self.moments if moment.flown == key]
+        if not moments:
+            return NO_DISTANCE
+        worst = min(moments, key=lambda moment: moment.margin)
+        return Tightest(worst.distance, worst.required, worst.time, worst.between)
 
     @property
     def cleared(self) -> bool:

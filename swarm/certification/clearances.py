@@ -64,7 +64,7 @@ class Moment:
 
     ``distance`` is the certified lower bound over the whole plan, within the tracking radius, and
     ``required`` the required distance, both in metres. It was found at ``time`` near ``where``. The
-    distance is −∞ where no bound was found.
+    distance is −∞ where no bound was found. ``flown`` is the key of :attr:`.Kind.flown`.
     """
 
     check: str
@@ -73,6 +73,7 @@ class Moment:
     required: float
     time: float
     where: Place
+    flown: str = ""
 
     @property
     def margin(self) -> float:
@@ -291,6 +292,7 @@ def _moment(family: Family, pair: int, minima: Minima, entry: int) -> Moment:
         required=family.required,
         time=float(minima.time[entry]),
         where=(x, y, z),
+        flown=family.kind.flown,
     )
 
 

@@ -8,7 +8,7 @@ a schedule a repair enlarges; and its name in messages, files and reports.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Final, Literal, NamedTuple
 
@@ -22,10 +22,22 @@ from swarm.certification.bodies import (
     vehicles_apart,
 )
 from swarm.certification.branch_and_bound import Boxes, Evaluator
-from swarm.certification.cable_spans import LYING, CableSpans, Spans, all_pairs, exempt_length
+from swarm.certification.cable_spans import (
+    LYING,
+    CableSpans,
+    Spans,
+    all_pairs,
+    cable_spans,
+    exempt_length,
+)
 from swarm.certification.distances import (
+    Samples,
     Tightest,
+    closest_neighbours,
+    closest_rotor_disc,
     closest_segments,
+    closest_to_fence,
+    closest_to_floor,
     closest_vehicle_and_segment,
     closest_vehicles,
     segment_name,
@@ -40,7 +52,7 @@ from swarm.certification.limits import (
     inside_fence,
     inside_fence_in_wind,
 )
-from swarm.certification.minima import TOLERANCE, Intervals, failing, roots
+from swarm.certification.minima import TOLERANCE, Intervals, boxes_of, failing, roots
 from swarm.certification.motion_bounds import BoundedMotion
 from swarm.certification.on_the_floor import (
     BELOW,
@@ -64,11 +76,13 @@ from swarm.certification.team_margins import (
     VEHICLES,
 )
 from swarm.geometry.catenary import MAX_CHORD_RATIO
+from swarm.geometry.motion import straight_between
 from swarm.mission import Mission
 from swarm.planning import Plan
 from swarm.planning.phase_motion import usable_acceleration
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
 Flags = npt.NDArray[np.bool_]
 Names = list[tuple[str, str]]
 
@@ -221,8 +235,12 @@ class Kind:
 
     ``failure`` is the message where it fails, by default for distances. Kinds that are ``listed``
     are distances that are reported together, tightest first. ``figure`` is the key under which
-    files have the tightest moment of one or several kinds, ``words`` its name in reports;
-    ``measured`` returns the smallest distance at grip points (k, n, 3) and mission times (k,).
+    files have the tightest moment of one or several kinds.
+
+    ``flown`` is the key under which files have the smallest distance of a flight, ``words`` its
+    name in reports, "" where no record has it: ``unmeasured`` says why. It is that of the sent
+    setpoints where tracking errors do not count in the bound, of reported positions otherwise.
+    ``measured`` returns it for samples at which the kind applies, by default the bound itself.
     """
 
     check: str
@@ -242,13 +260,89 @@ class Kind:
     failure: str = ""
     listed: bool = False
     figure: str = ""
+    flown: str = ""
     words: str = ""
-    measured: Callable[[Plan, Floats, Floats], Tightest | None] | None = None
+    unmeasured: str = ""
+    measured: Callable[[Samples], Tightest | None] | None = None
 
     def family(self, plan: Plan, spans: CableSpans, cable: HeldCable) -> Family | None:
         """Return its pairs in a plan; None where it never applies."""
         family = self.bound(Case(self, plan, spans, cable))
         return family if family and family.spans and family.names else None
+
+    @property
+    def flown_by(self) -> Literal["setpoints", "positions"]:
+        """Where vehicles count as being in a flight."""
+        return "positions" if self.tracking else "setpoints"
+
+    def smallest_in(self, track: "Track") -> Tightest | None:
+        """Return the smallest distance of a flight; None where the kind never applied."""
+        family = self.family(track.plan, track.spans, track.cable)
+        rows = track.rows(family.spans) if family else np.empty(0, dtype=np.intp)
+        if family is None or not len(rows):
+            return None
+        if self.measured is not None:
+            return self.measured(track.during(tuple(family.spans)))
+        pairs = np.arange(len(family.names)).repeat(len(rows))
+        moments = np.tile(rows.astype(np.float64), len(family.names))
+        margins = family.evaluate(boxes_of(pairs, moments, np.zeros(len(pairs)), ())).high
+        least = int(np.argmin(margins))
+        distance, row = family.required + float(margins[least]), rows[least % len(rows)]
+        time = float(track.samples.time[row])
+        return Tightest(distance, family.required, time, family.names[pairs[least]])
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Samples of a flight as an exact motion, with the number of a sample in place of the time.
+
+    The bounds of all kinds apply to it: ``plan`` has the motion, ``spans`` are those of the samples
+    at which the mission clock was in the plan's. ``cable`` is held exactly there, in still air.
+    """
+
+    samples: Samples
+    plan: Plan
+    spans: CableSpans
+    cable: HeldCable
+    _during: dict[tuple[tuple[float, float], ...], Samples] = field(
+        default_factory=dict, repr=False
+    )
+
+    @staticmethod
+    def of(samples: Samples) -> "Track":
+        """Return the track of at least one sample."""
+        plan, place, time = samples.plan, samples.place, samples.time
+        motion = straight_between(np.arange(len(place) + 1.0), np.concatenate([place, place[-1:]]))
+        every = cable_spans(plan)
+        held = (every.dragged, every.lifting, every.aloft, every.landing)
+        dragged, lifting, aloft, landing = (_runs(time, spans) for spans in held)
+        spans = replace(every, dragged=dragged, lifting=lifting, aloft=aloft, landing=landing)
+        cable = HeldCable(BoundedMotion(motion), plan.layout.lengths, 0.0)
+        return Track(samples, replace(plan, motion=motion), spans, cable)
+
+    def during(self, spans: tuple[tuple[float, float], ...]) -> Samples:
+        """Return the samples within spans: the same for the same, which compute strands once."""
+        if spans not in self._during:
+            self._during[spans] = self.samples.taken(self.rows(spans))
+        return self._during[spans]
+
+    def rows(self, spans: Intervals) -> Ints:
+        """Return the numbers of the samples within spans."""
+        number = np.arange(len(self.samples.place))
+        return np.flatnonzero(_within(number, spans))
+
+
+def _within(values: Floats | Ints, spans: Intervals) -> Flags:
+    inside = np.zeros(len(values), dtype=np.bool_)
+    for start, end in spans:
+        inside |= (values >= start) & (values <= end)
+    return inside
+
+
+def _runs(time: Floats, spans: Spans) -> Spans:
+    """Return the runs of samples at mission times within spans, each to before its next sample."""
+    edges = np.flatnonzero(np.diff(_within(time, spans), prepend=False, append=False))
+    return [(float(first), last - 0.5) for first, last in edges.reshape(-1, 2).tolist()]
 
 
 def _chords(case: Case) -> Family:
@@ -421,12 +515,13 @@ def _vehicle_cable(mission: Mission) -> float:
     return mission.clearance.vehicle_cable
 
 
+_COARSE: Final = "a record times setpoints to ms: too coarse beside limits that plans reach"
 _BEYOND: Final = "{short:.3f} m beyond {other}: {one}{errors}"
 
 KINDS: Final = (
     Kind(
         "taut", "chord and length", "the inequality above", "lifted or hanging", _chords,
-        place=CHORDS, margin="chord",
+        place=CHORDS, margin="chord", flown="chord", words="chord to its limit",
         failure=f"{{short:.3f}} m of chord beyond {MAX_CHORD_RATIO:.1%} of the length of "
         "{one}{errors}",
     ),
@@ -434,51 +529,55 @@ KINDS: Final = (
         "cable clearance", "two segments that share no vehicle, surface to surface",
         "`clearance.cable`", "hanging", _segments_apart, _cable, wind=True, swing=True,
         place=STRANDS, margin="cable", budget=True, listed=True,
-        figure="cable", words="cable to cable", measured=closest_segments,
+        figure="cable", flown="cable", words="cable to cable", measured=closest_segments,
     ),
     Kind(
         "neighbouring segments", "two segments that share a vehicle, beyond the exempt length",
         "`clearance.cable`", "hanging", _neighbours_apart, _cable, wind=True, swing=True,
         place=NEIGHBOURS, margin="neighbour", budget=True, listed=True, figure="cable",
-        words="cable to cable",
+        flown="neighbours", words="cable to next cable", measured=closest_neighbours,
     ),
     Kind(
         "floor", "a segment and the floor", "`clearance.floor`", "aloft", _above_floor,
         lambda mission: mission.clearance.floor, wind=True, swing=True, place=FLOOR, listed=True,
+        flown="floor", words="cable to floor", measured=closest_to_floor,
     ),
     Kind(
         "reach on the floor", "the reach of two segments that share no vehicle",
         "`clearance.cable`", "low", _reach_of_segments, _cable, listed=True,
+        flown="cable_reach", words="reach of two cables",
     ),
     Kind(
         "reach on the floor", "a vehicle and the reach of others' segments",
         "`clearance.vehicle_cable`", "low", _reach_of_vehicles, _vehicle_cable, listed=True,
+        flown="vehicle_reach", words="vehicle to reach",
     ),
     Kind(
         "over-stretched on the floor", "chord and length on the floor", "no longer than the cable",
-        "dragged", _not_overstretched, tracking=False,
+        "dragged", _not_overstretched, tracking=False, flown="stretch",
+        words="chord on the floor",
         failure="{short:.3f} m of chord beyond the length of {one} on the floor",
     ),
     Kind(
         "lying", "a grip point with its cable on the floor", f"at most {LYING:g} m above it",
-        "dragged", _lying, tracking=False,
+        "dragged", _lying, tracking=False, flown="lying", words="grip to lying height",
         failure=f"{{one}} is more than {LYING:g} m above the floor while its cable must lie there",
     ),
     Kind(
         "drawn out", "two neighbouring chords in plan view", "within 60° of a line", "low",
-        _drawn_out, tracking=False,
+        _drawn_out, tracking=False, flown="drawn_out", words="bend on the floor",
         failure="{one} and {other} are more than 60° off a line in plan view while cable can lie "
         "on the floor",
     ),
     Kind(
         "beside rotors", "chord and rotor discs", "less steep than the line from grip to rim",
-        "low", _beside_rotors,
+        "low", _beside_rotors, flown="beside_rotors", words="chord to rotor rim",
         failure="{one} is too steep beside the rotors of its vehicles while cable can lie on the "
         "floor",
     ),
     Kind(
         "straight down", "the shape of the team in a common descent", "unchanged", "landing",
-        _straight_down, tracking=False,
+        _straight_down, tracking=False, flown="straight_down", words="shape in the descent",
         failure="{one} does not descend vertically together with the others: their knot would "
         "change its shape",
     ),
@@ -486,53 +585,64 @@ KINDS: Final = (
         "vehicle clearance", "two vehicles, centre to centre",
         "`clearance.vehicle` horizontally **or** `clearance.downwash` vertically", "always",
         _two_vehicles, _vehicle, place=VEHICLES, margin="vehicle", listed=True,
-        figure="vehicle", words="vehicle to vehicle", measured=closest_vehicles,
+        figure="vehicle", flown="vehicle", words="vehicle to vehicle", measured=closest_vehicles,
     ),
     Kind(
         "ground", "a grip point and the floor", "above", "always", _above_ground, tracking=False,
+        unmeasured="by standing vehicles a record knows the floor, where setpoints begin and end",
         failure="{short:.3f} m below the floor: {one}",
     ),
     Kind(
         "ceiling", "a vehicle and the ceiling", "below", "always", _below_ceiling, place=CEILING,
-        failure=_BEYOND,
+        failure=_BEYOND, flown="ceiling", words="vehicle to ceiling",
     ),
     Kind(
         "vehicle-cable clearance", "a vehicle and the segments of others",
         "`clearance.vehicle_cable`", "hanging", _other_segments, _vehicle_cable, wind=True,
         swing=True, place=BODIES, margin="vehicle_cable", listed=True,
-        figure="vehicle_cable", words="vehicle to cable", measured=closest_vehicle_and_segment,
+        figure="vehicle_cable", flown="vehicle_cable", words="vehicle to cable",
+        measured=closest_vehicle_and_segment,
     ),
     Kind(
         "rotor disc", "a vehicle and its own segments", "outside its rotor disc", "hanging",
         _own_segments, wind=True, swing=True, place=DISCS, margin="rotor_disc", listed=True,
-        failure="{other} enters the rotor disc of its own {one}{errors}",
+        failure="{other} enters the rotor disc of its own {one}{errors}", flown="rotor_disc",
+        words="own rotor disc", measured=closest_rotor_disc,
     ),
     Kind(
         "fence", "a vehicle and the fence", "inside", "always", _vehicles_inside, wind=True,
-        place=FENCE, failure=_BEYOND,
+        place=FENCE, failure=_BEYOND, flown="vehicle_fence", words="vehicle to fence",
     ),
     Kind(
         "fence", "a segment and the fence", "inside", "held", _segments_inside, wind=True,
-        swing=True, place=FENCE, failure=_BEYOND,
+        swing=True, place=FENCE, failure=_BEYOND, flown="cable_fence", words="cable to fence",
+        measured=closest_to_fence,
     ),
     Kind(
         "speed", "speed", "`vehicles.max_speed`", "pieces", _speed,
         limit=lambda mission: mission.vehicles.max_speed, unit="m/s", tracking=False,
+        unmeasured=_COARSE,
         failure="{reached:.3f} m/s for {one}{others}; {vehicles.max_speed:g} m/s allowed",
     ),
     Kind(
         "acceleration", "acceleration", "limit; braking along the path is kept in reserve",
         "pieces", _acceleration, limit=usable_acceleration, unit="m/s²", tracking=False,
+        unmeasured=_COARSE,
         failure="{reached:.3f} m/s² for {one}{others}; {usable:g} m/s² "
         "allowed ({vehicles.max_acceleration:g} less {vehicles.braking_acceleration:g} to brake)",
     ),
 )  # fmt: skip
 
-FIGURES: Final[Mapping[str, str]] = {kind.figure: kind.words for kind in KINDS if kind.figure}
-"""The keys of distances in files, and their names in reports."""
+FIGURES: Final[Mapping[str, str]] = {
+    kind.figure: kind.words for kind in KINDS if kind.figure and kind.figure == kind.flown
+}
+"""The keys of certified distances in files, and their names in reports."""
 
-MEASURED: Final = {kind.figure: kind for kind in KINDS if kind.measured}
-"""The kinds that are measured at reported positions, by the keys of their distances in files."""
+MEASURED: Final = {kind.flown: kind for kind in KINDS if kind.flown}
+"""The kinds whose smallest distance in a flight is measured, by its key in files."""
+
+SWINGING: Final = {f"emulated_{key}": kind for key, kind in MEASURED.items() if kind.swing}
+"""Those that are measured in the emulator's swinging cable, too, by the keys of that distance."""
 
 
 def kind_of(check: str) -> Kind:
@@ -542,18 +652,54 @@ def kind_of(check: str) -> Kind:
 
 def required_distances(mission: Mission) -> dict[str, float]:
     """Return the required distances of what is measured, metres, by their keys in files."""
-    return {figure: kind.required(mission) for figure, kind in MEASURED.items()}
+    return {key: kind.required(mission) for key, kind in MEASURED.items()}
 
 
-def measured_distances(plan: Plan, place: Floats, time: Floats) -> dict[str, Tightest | None]:
-    """Return the smallest distances at grip points (k, n, 3) and mission times (k,), by their keys.
+class Flown(NamedTuple):
+    """What vehicles did in a plan's phases: reported ``positions`` and sent ``setpoints``.
 
-    None where a plan has no two such objects, or without positions.
+    Both (k, n, 3) are grip points at mission times ``time`` (k,), NaN where not known. ``shapes``
+    (k, n − 1, m, 3) is the cable where it is known, as polylines of equal arcs.
     """
+
+    time: Floats
+    positions: Floats
+    setpoints: Floats
+    shapes: Floats | None = None
+
+    def track(self, plan: Plan, by: Literal["setpoints", "positions"]) -> Track | None:
+        """Return the track of the samples at which the whole team is known; None without any.
+
+        A plan begins when its clock leaves its first moment: until then, vehicles arm.
+        """
+        place = self.positions if by == "positions" else np.round(self.setpoints, _SETPOINT_DIGITS)
+        known = np.isfinite(place).all(axis=(1, 2)) & (self.time > plan.motion.times[0])
+        shapes = None if self.shapes is None else self.shapes[known]
+        return (
+            Track.of(Samples(plan, place[known], self.time[known], shapes)) if known.any() else None
+        )
+
+
+_SETPOINT_DIGITS: Final = 4
+"""Decimals of setpoints, in metres, that the 32-bit floats of packets keep, up to 1 km."""
+
+
+def measured_distances(plan: Plan, flown: Flown) -> dict[str, Tightest | None]:
+    """Return the smallest distances of a flight at the times to which the certificate applies.
+
+    By their keys; None where a plan has no such objects, or without samples.
+    """
+    tracks = {by: flown.track(plan, by) for by in ("setpoints", "positions")}
     return {
-        figure: kind.measured(plan, place, time) if kind.measured and len(place) else None
-        for figure, kind in MEASURED.items()
+        key: kind.smallest_in(track) if (track := tracks[kind.flown_by]) else None
+        for key, kind in MEASURED.items()
     }
+
+
+def swinging_distances(plan: Plan, flown: Flown) -> dict[str, Tightest | None]:
+    """Return the smallest distances of cable with known shapes, as :func:`measured_distances`."""
+    track = flown.track(plan, "positions") if flown.shapes is not None else None
+    return {key: kind.smallest_in(track) if track else None for key, kind in SWINGING.items()}
 
 
 MATRIX: Final = (
@@ -563,15 +709,25 @@ MATRIX: Final = (
 """Columns of the matrix of who compares a kind, or what counts in it."""
 
 
+def unmeasured() -> dict[str, list[str]]:
+    """Return the checks that no flight shows to hold, by the reason."""
+    reasons: dict[str, list[str]] = {}
+    for kind in KINDS:
+        if not kind.flown:
+            reasons.setdefault(kind.unmeasured, []).append(kind.check)
+    return reasons
+
+
 def coverage(kind: Kind) -> tuple[str, ...]:
-    """Return the cells of a kind in the MATRIX: when it is compared, yes, or no."""
+    """Return the cells of a kind in the MATRIX: when it is compared, by what, yes, or no."""
     live = "aloft" if kind.when != "always" else "unless cable lies on the floor"
     counts = kind.tracking, kind.wind, kind.swing
-    uses = kind.budget, kind.measured is not None, kind.margin is not None
     compared = kind.place is not None
     return (
         _TIMES[kind.when], *map(_yes, counts), "in the fold" if compared else "no",
-        live if compared else "no", *map(_yes, uses),
+        live if compared else "no", _yes(kind.budget),
+        f"by {kind.flown_by}" if kind.flown else f"no: {kind.unmeasured}",
+        _yes(kind.margin is not None),
     )  # fmt: skip
 
 

@@ -221,6 +221,16 @@ def inside_fence_in_wind(cable: HeldCable, fence: Floats, diameter: float) -> Ev
     return evaluate
 
 
+def inside_fence_by(lines: Floats, fence: Floats) -> Floats:
+    """Return how far polylines (…, m, 3) are from a fence (m, 2) in plan view; negative outside."""
+    pieces = np.stack([lines[..., :-1, :], lines[..., 1:, :]], axis=-2)
+    every = pieces.reshape(-1, 2, 3)
+    found = np.empty(len(every))
+    _write_inside(contiguous(every), contiguous(sides_of(fence)), np.empty((2, 3)), found)
+    least: Floats = found.reshape(pieces.shape[:-2]).min(axis=-1)
+    return least
+
+
 def sides_of(fence: Floats) -> Floats:
     """Return the sides (m, 2, 3) of a fence (m, 2), on the ground."""
     corners = np.pad(fence, ((0, 0), (0, 1)))

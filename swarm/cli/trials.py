@@ -8,7 +8,7 @@ from typing import Any
 import click
 from rich.console import Console
 
-from swarm.certification.kinds import MEASURED
+from swarm.certification.kinds import FIGURES
 from swarm.cli.inputs import (
     FILE,
     JOBS,
@@ -124,7 +124,7 @@ def trials(
         if report:
             # one figure per distance, so that a phone shows them one below the other
             figures = [
-                study_plots.trials_figure(distances, required, [figure]) for figure in MEASURED
+                study_plots.trials_figure(distances, required, [figure]) for figure in FIGURES
             ]
             write_text(report, trials_report(planned.plan, planned.assessment, summaries, figures))
     if given.as_json:

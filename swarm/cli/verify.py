@@ -53,8 +53,9 @@ def verify(
     """Verify a flight RECORD (a folder): implied knot, smallest distances, tracking errors.
 
     Reads reported positions and sent setpoints from the .tlog and compares them with the recorded
-    plan in the cable model. Exit code 0 if they imply the planned knot, the last observation
-    agrees, and cable was carried within the certificate; otherwise 1.
+    plan in the cable model: every kind of clearance, while its certificate applies. Exit code 0 if
+    they imply the planned knot, the last observation agrees, and cable was carried within the
+    certificate; otherwise 1.
 
     Example: swarm verify flights/2025-06-01T10-00-00-overhand --plot flight.png
     """

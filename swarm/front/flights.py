@@ -63,10 +63,11 @@ class Flight:
 
     @property
     def clearance(self) -> Mapping[str, Tightest | None]:
-        """The smallest distances at reported positions in fold and hold, in the cable model.
+        """The smallest distances at reported positions, or of setpoints, in the cable model.
 
-        "cable" between strands, surface to surface; "vehicle" between vehicles; "vehicle_cable"
-        between a vehicle and segments that it does not hold: metres, with mission time and the
+        At the moments to which the certificate applies. "cable" between strands, surface to
+        surface; "vehicle" between vehicles; "vehicle_cable" between a vehicle and segments that it
+        does not hold, and others, one per kind of clearance: metres, with mission time and the
         names of the two bodies. None without two such bodies.
         """
         return self.verification.distances

@@ -64,6 +64,14 @@ class Motion:
         return moments, contiguous(self.times), contiguous(self.coefficients)
 
 
+def straight_between(times: Floats, places: Floats) -> Motion:
+    """Return the motion straight between places (k + 1, n, 3) at times (k + 1,), in metres."""
+    coefficients = np.zeros((len(times) - 1, 6, *places.shape[1:]))
+    coefficients[:, 0] = places[:-1]
+    coefficients[:, 1] = np.diff(places, axis=0) / np.diff(times)[:, None, None]
+    return Motion(times, coefficients)
+
+
 @compiled
 def _evaluate_places(
     breaks: Floats1, coefficients: Floats3, times: Floats2, row: Floats1, places: Floats4

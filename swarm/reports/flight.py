@@ -83,7 +83,7 @@ def verification_object(verification: Verification, assessment: Assessment) -> d
     clearance = {
         figure: {
             "flown": tightest_object(flown) if flown else None,
-            "certified": tightest_object(assessment.distances[figure]),
+            "certified": tightest_object(assessment.certified(figure)),
         }
         for figure, flown in verification.distances.items()
     }
@@ -154,9 +154,9 @@ def flight_verdict(plan: Plan, outcome: Document) -> Verdict:
     """Return how a flight ended, the implied knot, and every way in which it missed its plan."""
     adherence = outcome["adherence"]
     problems = [
-        came_to(kind, both["flown"]["distance"], both["certified"]["required"])
+        came_to(kind, flown["distance"], flown["required"])
         for kind, both in outcome["clearance"].items()
-        if both["flown"] and both["flown"]["distance"] < both["certified"]["required"]
+        if (flown := both["flown"]) and flown["distance"] < flown["required"]
     ]
     as_planned = outcome["outcome"] == "done" and outcome["knot"]["as_planned"]
     sentences = [f"{outcome['outcome']}: {outcome['explanation']}"]
@@ -207,11 +207,11 @@ def clearance_table(clearance: Document) -> Table:
         flown, held = both["flown"], both["certified"]
         if flown is None and held["distance"] is None:
             continue
-        figures = certified(held["distance"]), metres(held["required"])
+        figures = certified(held["distance"]), metres((flown or held)["required"])
         if flown is None:
             rows.append((DISTANCES[figure], "unknown", *figures, "", ""))
             continue
-        distance = compared(metres(flown["distance"]), flown["distance"], held["required"])
+        distance = compared(metres(flown["distance"]), flown["distance"], flown["required"])
         at, between = seconds(flown["time"]), together(flown["between"])
         rows.append((DISTANCES[figure], distance, *figures, at, between))
     if all(both["flown"] is None for both in clearance.values()):

@@ -9,11 +9,14 @@ import numpy.typing as npt
 
 from swarm.certification.assessment import Assessment, rounded_down
 from swarm.certification.findings import numbers
-from swarm.certification.kinds import FIGURES
+from swarm.certification.kinds import MEASURED, SWINGING
 from swarm.flight.snapshot import Event
 from swarm.planning import Plan
 
-DISTANCES: Final = {**FIGURES, "emulated_cable": "cable to cable, emulated"}
+DISTANCES: Final = {
+    **{key: kind.words for key, kind in MEASURED.items()},
+    **{key: f"{kind.words}, emulated" for key, kind in SWINGING.items()},
+}
 """Distances of flights and of trials, in words."""
 
 ROUTINE_KINDS: Final = frozenset(

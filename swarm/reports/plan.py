@@ -15,7 +15,7 @@ from swarm.certification.budget import Budget, least_remaining
 from swarm.certification.clearances import Moment
 from swarm.certification.distances import Tightest
 from swarm.certification.findings import Finding
-from swarm.certification.kinds import FIGURES, KINDS, MATRIX, coverage
+from swarm.certification.kinds import FIGURES, KINDS, MATRIX, coverage, unmeasured
 from swarm.knots.catalog import lookup_knot
 from swarm.planning import Plan
 from swarm.planning.few_vehicles import least_vehicles
@@ -147,6 +147,9 @@ def print_plan_summary(
         ):
             if table.rows:
                 console.print(indented(drawn(table)))
+        for reason, checks in unmeasured().items():
+            words = f"not compared with flights: {', '.join(checks)} ({reason})"
+            console.print(Padding(Text(words, "dim"), (0, 0, 0, 2), expand=False))
     problems = [finding for finding in assessment.findings if finding.severity != "info"]
     if problems:
         listed = problems if verbose else shortened(problems)
@@ -329,7 +332,7 @@ _SHORT: Final = {
 def coverage_table() -> Table:
     """Return the matrix of all certified checks: what counts in them, who else compares them."""
     rows = [
-        (kind.check, *("–" if cell == "no" else "yes" for cell in coverage(kind)[1:]))
+        (kind.check, *("–" if cell.startswith("no") else "yes" for cell in coverage(kind)[1:]))
         for kind in KINDS
     ]
     columns = ("Checks", *(_SHORT.get(name, name) for name in MATRIX[1:]))

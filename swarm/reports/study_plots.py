@@ -10,7 +10,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from swarm.certification.assessment import rounded_down
-from swarm.certification.kinds import MEASURED
+from swarm.certification.kinds import FIGURES
 from swarm.planning import Plan
 from swarm.reports.formatting import DISTANCES
 from swarm.reports.plots import (
@@ -76,7 +76,7 @@ def trial_distances(
 def trials_figure(
     runs: Sequence[TrialDistances],
     required: Mapping[str, float],
-    kinds: Sequence[str] = tuple(MEASURED),
+    kinds: Sequence[str] = tuple(FIGURES),
 ) -> Figure:
     """Return a figure with a column per kind of distance.
 

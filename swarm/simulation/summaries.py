@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from joblib import Parallel, delayed
 
-from swarm.certification.clearances import tightest_moments
-from swarm.certification.kinds import MEASURED, required_distances
+from swarm.certification.clearances import families, moments_of
+from swarm.certification.kinds import FIGURES, MEASURED, SWINGING, required_distances
 from swarm.planning import Plan
 from swarm.simulation.spread import Spread
 from swarm.simulation.trials import Trial
@@ -65,21 +65,25 @@ def certify_clearances(plan: Plan, trials: Sequence[Trial], jobs: int = 1) -> Ce
     steps = steps[steps * RADIUS_STEP <= _MAX_RADIUS]
     smaller = np.linspace(0.0, steps.max(initial=1.0), _MIN_RADII).round()
     radii = RADIUS_STEP * np.unique(np.concatenate([smaller, steps]))
-    bounds = Parallel(n_jobs=jobs)(
-        delayed(_certified_clearances)(plan, float(radius)) for radius in radii
-    )
-    columns = np.array(bounds).reshape(-1, len(MEASURED)).T
-    return CertifiedClearances(radii, dict(zip(MEASURED, columns, strict=True)))
-
-
-def _certified_clearances(plan: Plan, tracking: float) -> list[float]:
-    """Return the certified bound of each clearance for a tracking radius, metres."""
-    checks = [kind.check for kind in MEASURED.values()]
-    moments = tightest_moments(plan, tracking=tracking, checks=checks)
-    return [
-        min((moment.distance for moment in moments if moment.check == check), default=math.inf)
-        for check in checks
+    keys = [
+        key
+        for key in MEASURED
+        if key in FIGURES or any(trial.distances[key] is not None for trial in trials)
     ]
+    bounds = Parallel(n_jobs=jobs)(
+        delayed(_certified_clearances)(plan, float(radius), keys) for radius in radii
+    )
+    columns = np.array(bounds).reshape(-1, len(keys)).T
+    return CertifiedClearances(radii, dict(zip(keys, columns, strict=True)))
+
+
+def _certified_clearances(plan: Plan, tracking: float, keys: Sequence[str]) -> list[float]:
+    """Return the certified bound of each clearance for a tracking radius, metres."""
+    found = dict.fromkeys(keys, math.inf)
+    for family in families(plan, tracking):
+        if family.kind.flown in found:
+            found[family.kind.flown] = min(moment.distance for moment in moments_of(family))
+    return list(found.values())
 
 
 def below_certificate(trials: Sequence[Trial], certified: CertifiedClearances) -> list[int]:
@@ -117,7 +121,7 @@ def summary(
     without = [trial for trial in trials if not trial.failure]
     with_failure = [trial for trial in trials if trial.failure]
     required = required_distances(plan.mission)
-    required["emulated_cable"] = plan.mission.clearance.cable
+    required |= {key: kind.required(plan.mission) for key, kind in SWINGING.items()}
     document: dict[str, Any] = {
         "mission": plan.mission.name,
         "method": plan.mission.fold.method,
@@ -177,9 +181,9 @@ def worst_trials(plan: Plan, trials: Sequence[Trial]) -> list[Trial]:
 
     def order(trial: Trial) -> tuple[float, ...]:
         margins = [
-            distance - required
-            for name, required in required_distances(plan.mission).items()
-            if (distance := trial.distances[name]) is not None
+            distance - kind.required(plan.mission)
+            for name, kind in MEASURED.items()
+            if kind.listed and (distance := trial.distances[name]) is not None
         ]
         damage = trial.rotor_strikes + trial.collisions + trial.crashes
         return (-damage, trial.completed, min(margins, default=math.inf), trial.number)

@@ -16,8 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from joblib import Parallel, delayed, parallel_config
 
-from swarm.certification.distances import closest_strands
-from swarm.certification.kinds import MEASURED
+from swarm.certification.kinds import MEASURED, SWINGING, Flown, swinging_distances
 from swarm.errors import InputError, Problem, reason
 from swarm.flight.conductor import Conductor
 from swarm.flight.flight_plan import FlightPlan
@@ -44,7 +43,7 @@ Floats = npt.NDArray[np.float64]
 SAMPLE_INTERVAL: Final = 0.4
 """Seconds of flight between two samples of a trial's distances."""
 
-DISTANCES: Final = (*MEASURED, "emulated_cable")
+DISTANCES: Final = (*MEASURED, *SWINGING)
 """Keys of the distances of a trial, as its files have them."""
 _SHARES: Final = np.linspace(0.0, 1.0, 25)
 _ROUNDING: Final = 1e-6
@@ -55,11 +54,12 @@ class Trial:
     """The results of one trial.
 
     Distances are in metres, times in seconds, wind and gusts in m/s. ``distances`` has
-    the smallest ones in fold and hold by their keys: "cable", "vehicle" and "vehicle_cable" of the
-    same things as in the certificate, in the cable model between the true positions of the
-    vehicles; "emulated_cable" between strands of the emulator's cable, with its errors, wind and
-    sway. ``tracking_error`` is the largest distance of a vehicle from its setpoint in fold and
-    hold. These are None where the cable was never aloft.
+    the smallest ones in fold and hold by their keys: "cable", "vehicle" and others of
+    :data:`.kinds.MEASURED`, of the same things as in the certificate, in the cable model between
+    the true positions of the vehicles; "emulated_cable" and others of :data:`.kinds.SWINGING` of
+    the emulator's cable, with its errors, wind and sway. ``tracking_error`` is the largest distance
+    of a vehicle from its setpoint in fold and hold. These are None where the cable was never aloft,
+    or the certificate of a kind does not apply in the fold.
 
     ``reason`` is the first failure or the outcome, "" where the trial is completed. ``failure`` is
     the drawn failure with its vehicle, "" for none.
@@ -225,11 +225,13 @@ def _trial_result(
         phases = tuple(sample.phase for sample in samples)
         flown = verify_trace(plan, Trace(times, mission_times, position, setpoint, phases))
         knot, as_planned = flown.knot, flown.as_planned
-        for name, tightest in flown.distances.items():
+        held = [k for k, sample in enumerate(samples) if sample.strands is not None]
+        shapes = np.array([samples[k].strands for k in held]) if held else None
+        hanging = Flown(mission_times[held], position[held], setpoint[held], shapes)
+        measured = {**flown.distances, **swinging_distances(plan, hanging)}
+        for name, tightest in measured.items():
             distances[name] = None if tightest is None else tightest.distance
         tracking_error = float(np.linalg.norm(position - setpoint, axis=-1).max())
-        strands = [sample.strands for sample in samples if sample.strands is not None]
-        distances["emulated_cable"] = _smallest_distance(plan, strands)
         if samples[-1].strands is None and len(plan.layout.lengths):
             knot, as_planned = "released", False
     if not reason and not as_planned:
@@ -252,15 +254,6 @@ def _trial_result(
         failure_time=conditions.failure_time,
         duration=result.statistics.duration,
     )
-
-
-def _smallest_distance(plan: Plan, strands: list[Floats]) -> float | None:
-    """Return the smallest surface distance of strands that share no vehicle; None without any."""
-    pairs = np.stack(np.triu_indices(plan.vehicles - 1, 2), axis=1)
-    if not strands or not len(pairs):
-        return None
-    nearest, _, _ = closest_strands(np.array(strands), pairs)
-    return max(nearest - plan.mission.cable.diameter, 0.0)
 
 
 FlyTrial = Callable[[int], tuple[Trial, FlightResult]]
