@@ -61,6 +61,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Compile and plan once what each process of pytest-xdist would otherwise make for itself."""
     if not hasattr(config, "workerinput"):
         os.environ[FOLDER] = tempfile.mkdtemp(prefix="swarm-tests-")
+        os.environ["XDG_STATE_HOME"] = os.environ[FOLDER]
     in_processes = config.getoption("numprocesses", None) and not config.option.collectonly
     if in_processes and config.args == config.getini("testpaths"):
         precompile.prepare(precompile.PLANNING)

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding
-from swarm.cli.flight_session import MOCAP, RTCM, require_laboratory
+from swarm.cli.flight_session import MOCAP, RTCM, note_first_test, require_laboratory
 from swarm.cli.inputs import (
     FILE,
     FOLDER,
@@ -36,6 +36,7 @@ from swarm.ground.commissioning.check import check as check_fleet
 from swarm.ground.commissioning.survey import download_logs
 from swarm.ground.fly import FlightCallbacks
 from swarm.ground.hop import HopResult, fly_hop, hop_question
+from swarm.ground.ladder import carries_cable, missing_steps, passed_steps, words_of
 from swarm.ground.record import new_check_folder
 from swarm.ground.world_clock import require_clock
 from swarm.mission.fleet import Fleet, emulated_fleet, with_tracking
@@ -47,6 +48,7 @@ from swarm.reports.check import (
     logs_table,
     parameter_table,
     print_check,
+    steps_table,
 )
 from swarm.reports.layout_sheet import layout_sheet
 from swarm.reports.result import drawn
@@ -178,7 +180,8 @@ def check(context: click.Context, /, **options: Any) -> None:
 
     Checks links, firmware, health, batteries, positions, parameters, origins, clocks and the Hold
     mode, and the poses of motion capture, where `swarm mocap` or --mocap sends them. Parameters are
-    saved first. Only --hop arms vehicles. Exit code 0 for go, 1 for no-go, 3
+    saved first. Only --hop arms vehicles. Of vehicles that are not emulated it lists the first
+    tests that they have passed. Exit code 0 for go, 1 for no-go, 3
     if vehicles, links or logs are missing.
 
     Example: swarm check missions/overhand.yaml --fleet fleet.yaml --soak 60
@@ -211,18 +214,26 @@ def check(context: click.Context, /, **options: Any) -> None:
             ),
         )  # fmt: skip
     hop_result, measured = None, None
+    real = fleet.emulated is None and given.clock is None
     if flight_plan is not None:
         report = report.with_findings(_plan_finding(flight_plan, known))
         if given.with_hop:
             ready = report.passed or fleet.emulated is not None
             hop_result = _fly_hop(flight_plan, fleet, folder / "hop", given, ready=ready)
             report = report.with_findings(*hop_result.findings)
+            if hop_result.hovers:
+                note_first_test(folder / "hop", real=real)
             measured = _write_measured(before, fleet, folder, hop_result)
         if given.sheet:
             write_text(given.sheet, layout_sheet(flight_plan.plan, fleet, report.order))
+    passed = passed_steps(fleet) if real else None
+    if real and flight_plan is not None:
+        report = report.with_findings(*_step_findings(flight_plan, fleet))
     if given.as_json:
-        print_json(check_object(report, hop_result, folder, measured))
+        print_json(check_object(report, hop_result, folder, measured, passed))
     else:
+        if passed is not None:
+            console.print(drawn(steps_table(passed)))
         print_check(report, console)
         console.print(f"Parameters saved in {folder}", soft_wrap=True, highlight=False)
         if measured is not None:
@@ -243,6 +254,18 @@ def _plan_finding(flight_plan: CertifiedPlan, fleet: Fleet | None) -> Finding:
     words = f"{plan.mission.name}, {plan.vehicles} vehicles, certified for tracking errors of "
     words += f"{plan.mission.vehicles.tracking:g} m"
     return Finding("info", "plan", words + (f", e* {limit:.2f} m" if limit is not None else ""))
+
+
+def _step_findings(flight_plan: CertifiedPlan, fleet: Fleet) -> list[Finding]:
+    """Return a warning where a flight of the plan with cable would be refused."""
+    if not carries_cable(flight_plan, no_cable=fleet.gripper == "none"):
+        return []
+    missing = missing_steps(fleet, flight_plan.plan)
+    if not missing:
+        return [Finding("info", "first tests", "all before this flight have been passed")]
+    words = "; ".join(words_of(step, flight_plan.plan) for step in missing)
+    message = f"swarm fly refuses this flight with cable; not passed before: {words}"
+    return [Finding("warning", "first tests", message)]
 
 
 def _fix_question(

@@ -18,7 +18,9 @@ from swarm.files import write_text
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.corrections import parse_source
+from swarm.ground.ladder import STEPS, enter
 from swarm.ground.mocap import parse_url
+from swarm.ground.record_verification import verify_record
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
 from swarm.reports.flight import flight_report, outcome_object, print_outcome
@@ -90,6 +92,21 @@ def opened_console(
         yield
 
 
+def note_first_test(folder: Path, *, real: bool) -> None:
+    """Verify the record of a flight of real vehicles, and say which first test it passes."""
+    if not real:
+        return
+    console = Console(stderr=True)
+    try:
+        entered = enter(verify_record(folder))
+    except InputError as error:
+        console.print(f"First tests: not noted: {error}", soft_wrap=True, markup=False)
+        return
+    if entered is not None:
+        words = f"First test passed: {STEPS[entered.step][0]}"
+        console.print(words, style="dim", highlight=False, soft_wrap=True)
+
+
 @dataclass(frozen=True)
 class Displays:
     """The displays of a flight: terminal and Rerun."""
@@ -141,13 +158,18 @@ def end_flight(
     result: FlightResult,
     folder: Path,
     *,
+    real: bool,
     as_json: bool,
 ) -> None:
-    """Write the report of a flight, print its outcome, and exit with its code."""
+    """Write the report of a flight, print its outcome, and exit with its code.
+
+    A whole flight of ``real`` vehicles is verified, and entered where it passes a first test.
+    """
     verification = verify_trace(plan, result.trace)
     outcome = outcome_object(plan, result, verification, assessment)
     report = flight_report(plan, assessment, outcome, result.trace, result.events)
     write_text(folder / "report.html", report)
+    note_first_test(folder, real=real)
     if as_json:
         print_json(outcome)
     else:

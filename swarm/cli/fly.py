@@ -49,6 +49,7 @@ from swarm.flight.training import require_emulated
 from swarm.front.files import load_fleet
 from swarm.ground.flight_process import FlightRequest, fly_in_process
 from swarm.ground.fly import FlightCallbacks, FlyOptions, Unattended
+from swarm.ground.ladder import require_steps
 from swarm.ground.record import control_socket, new_record_folder
 from swarm.ground.record_reader import (
     recorded_certificate,
@@ -120,7 +121,7 @@ def resume_flight(
     basis = confirmed_basis(plan, result.basis)
     kept = replace(result.adherence, certified=basis.max_tracking_error)
     result = replace(result, basis=basis, adherence=kept)
-    end_flight(context, plan, again.assessment, result, folder, as_json=as_json)
+    end_flight(context, plan, again.assessment, result, folder, real=False, as_json=as_json)
 
 
 COUNTDOWN = 3
@@ -131,6 +132,7 @@ _NEEDS = {
     "rtcm": ("fleet",),
     "clock": ("fleet",),
     "console_certificate": ("console",),
+    "skip_step": ("fleet",),
 }
 """Options that go with others only."""
 _RAISED_FLIGHT = (
@@ -166,6 +168,7 @@ class Options:
     console: str | None
     console_certificate: Path | None
     scenario: Path | None
+    skip_step: bool
 
     def refuse_with_resume(self) -> None:
         """Raise :class:`InputError` for options whose values come from the resumed record."""
@@ -266,6 +269,11 @@ class Options:
     help="Training: inject the faults of this scenario file (YAML) into emulated vehicles; the "
     "report has the times of detection and of the operator's reaction.",
 )
+@click.option(
+    "--skip-step",
+    is_flag=True,
+    help="Fly cable with a fleet that has not passed the first tests before; the record says so.",
+)
 @click.pass_context
 def fly(context: click.Context, /, **options: Any) -> None:
     """Plan MISSION (a mission or plan file, or the name of a knot), check the plan, and fly it.
@@ -330,6 +338,10 @@ def fly(context: click.Context, /, **options: Any) -> None:
     flight_plan = raised(planned.certified(), team, no_cable=given.no_cable)
     if flight_plan.plan is not planned.plan:
         console.print(_RAISED_FLIGHT, style="dim", highlight=False, soft_wrap=True)
+    real = team.emulated is None and given.clock is None
+    skipped: tuple[str, ...] = ()
+    if real:
+        skipped = require_steps(flight_plan, team, no_cable=given.no_cable, skip=given.skip_step)
     systems = team.systems[: planned.plan.vehicles]
     training = scenario.training(systems) if scenario is not None else None
     folder = given.record or new_record_folder(_FLIGHTS, planned.plan.mission.name)
@@ -340,12 +352,15 @@ def fly(context: click.Context, /, **options: Any) -> None:
             speed=given.speed, no_cable=given.no_cable, control=control, forward=given.forward,
             firmware=given.firmware, positioning=given.positioning or "rtk", mocap=given.mocap,
             rtcm=given.rtcm, world_clock=given.clock, unattended=given.unattended,
-            training=training,
+            training=training, skipped=skipped,
         ),
         confirm=True,
     )  # fmt: skip
     result = _fly(flight, given, console)
-    end_flight(context, flight_plan.plan, planned.assessment, result, folder, as_json=given.as_json)
+    end_flight(
+        context, flight_plan.plan, planned.assessment, result, folder,
+        real=real, as_json=given.as_json,
+    )  # fmt: skip
 
 
 def _emulated_fleet(count: int, firmware: str | None) -> Fleet:

@@ -9,6 +9,7 @@ from rich.console import Console
 from swarm.cli.inputs import FILE, JSON, OUTPUT, print_json
 from swarm.errors import Refused
 from swarm.front.plans import load_plan
+from swarm.ground.ladder import enter
 from swarm.ground.record_reader import recorded_plan
 from swarm.ground.record_verification import parse_observation, verify_record
 from swarm.planning import digest
@@ -55,7 +56,8 @@ def verify(
     Reads reported positions and sent setpoints from the .tlog and compares them with the recorded
     plan in the cable model: every kind of clearance, while its certificate applies. Exit code 0 if
     they imply the planned knot, the last observation agrees, and cable was carried within the
-    certificate; otherwise 1.
+    certificate; otherwise 1. The record of a flight of real vehicles is entered in the list of
+    first tests where it passes one (`swarm check`).
 
     Example: swarm verify flights/2025-06-01T10-00-00-overhand --plot flight.png
     """
@@ -70,6 +72,7 @@ def verify(
 
         save(flight_figure(verified.plan, verified.log.trace), plot)
     document = record_object(verified)
+    enter(verified)
     if as_json:
         print_json(document)
     else:

@@ -1,6 +1,6 @@
 """The result of a flight, real or simulated, and its errors against those it was certified for."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -137,12 +137,17 @@ class Statistics:
     gap: tuple[float, float] = (0.0, 0.0)
 
 
+def skipped_words(steps: Sequence[str]) -> str:
+    """Return in words which first tests were skipped; "" for none."""
+    return f"flown with --skip-step; first tests not passed: {', '.join(steps)}" if steps else ""
+
+
 @dataclass(frozen=True)
 class FlightResult:
     """A flight: outcome, trace, events, statistics, and the folder of its record.
 
     ``basis`` is the basis on which it was flown, ``adherence`` its errors against that,
-    ``training`` the faults that were injected.
+    ``training`` the faults that were injected, ``skipped`` the first tests that were skipped.
     """
 
     outcome: Outcome
@@ -153,6 +158,7 @@ class FlightResult:
     adherence: Adherence
     record: Path | None = None
     training: Training | None = None
+    skipped: tuple[str, ...] = ()
 
     def error(self) -> SwarmError | None:
         """Return the error with which the flight ended; None after a complete flight.

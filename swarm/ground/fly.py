@@ -32,7 +32,7 @@ from swarm.flight.parameters import (
     stream_loss_model,
 )
 from swarm.flight.requests import ABSENCE, Request
-from swarm.flight.result import FlightResult, adherence
+from swarm.flight.result import FlightResult, adherence, skipped_words
 from swarm.flight.setup import FlightOptions
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.flight.tlog import ClockEncoder, LeftOff, Then
@@ -364,6 +364,7 @@ class FlyOptions:
       which the flight follows instead of the wall clock.
     - ``unattended``: what the team does when the last screen of the flight is gone.
     - ``training``: the faults that the emulator injects.
+    - ``skipped``: the first tests that the fleet has not passed, in words.
     """
 
     speed: float = 1.0
@@ -381,6 +382,7 @@ class FlyOptions:
     world_clock: Path | None = None
     unattended: Unattended = "hold"
     training: Training | None = None
+    skipped: tuple[str, ...] = ()
 
 
 def fly(
@@ -464,6 +466,7 @@ def fly(
         result = replace(
             _result(conductor, emulator, loop, tuple(tasks.events), record),
             training=_training(options, started),
+            skipped=options.skipped,
         )
         record.after(result)
         return result
@@ -487,6 +490,8 @@ def _conductor(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions) -> Co
         require_tracking(conductor.basis, fleet)
     if options.training is not None:
         conductor.report("training", options.training.words)
+    if options.skipped:
+        conductor.report("warning", skipped_words(options.skipped))
     precompile.load()
     return conductor
 
@@ -507,6 +512,7 @@ def _facts(options: FlyOptions, record: Record, started: float | None) -> dict[s
         "start_time": record.start_time,
         "world_start": started * options.speed if started is not None else None,
         "training": asdict(training) if training is not None else None,
+        "skipped_steps": list(options.skipped),
     }
 
 

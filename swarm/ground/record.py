@@ -181,6 +181,7 @@ class Record:
             "swing": swing_object(largest_stray(result.trace)),
             "statistics": statistics,
             "training": training_object(result.training, result.events),
+            "skipped_steps": list(result.skipped),
             "record": {"dropped": self.dropped, "problem": self.problem},
         }
         self._file("summary.json", json.dumps(_plain(summary), indent=1).encode())

@@ -28,6 +28,7 @@ from swarm.planning.archive import read_plan
 LARGEST_PLAN = 64 << 20
 """Bytes of a record's plan, motion or certificate."""
 _EVENT, _TRAINING = TypeAdapter(Event), TypeAdapter(Training | None)
+_FACTS = "versions.json"
 LATEST_EVENT = 1e9
 """Seconds of an event's clock, which begins with the flight or with the computer: 30 years."""
 LARGEST_LOG = 4 << 30
@@ -106,14 +107,35 @@ def recorded_events(record: Path) -> Iterator[Event]:
 
 def recorded_training(record: Path) -> Training | None:
     """Return the faults that were injected into a record's flight; None where none were."""
-    path = record / "versions.json"
-    if not path.exists():
-        return None
-    facts = _json(path, LARGEST_FILE)
     try:
-        return _TRAINING.validate_python(facts.get("training"))
-    except (ValidationError, AttributeError):
-        raise InputError([Problem(f"{path}: training", "expected injected faults")]) from None
+        return _TRAINING.validate_python(recorded_facts(record).get("training"))
+    except ValidationError:
+        message = "expected injected faults"
+        raise InputError([Problem(f"{record / _FACTS}: training", message)]) from None
+
+
+def recorded_skipped(record: Path) -> tuple[str, ...]:
+    """Return the first tests that a record's flight skipped."""
+    skipped = recorded_facts(record).get("skipped_steps") or []
+    if not isinstance(skipped, list):
+        raise InputError([Problem(f"{record / _FACTS}: skipped_steps", "expected a list")])
+    return tuple(map(str, skipped))
+
+
+def recorded_outcome(record: Path) -> str:
+    """Return how a record's flight ended, in a word; "" where it did not end as it should."""
+    path = record / "summary.json"
+    summary = _json(path, LARGEST_FILE) if path.exists() else {}
+    return str(summary.get("outcome", "")) if isinstance(summary, dict) else ""
+
+
+def recorded_facts(record: Path) -> dict[str, Any]:
+    """Return what a record says of its flight beside plan and fleet; empty for an old record."""
+    path = record / _FACTS
+    facts = _json(path, LARGEST_FILE) if path.exists() else {}
+    if not isinstance(facts, dict):
+        raise InputError([Problem(str(path), "expected facts by name")])
+    return facts
 
 
 def recorded_frames(record: Path, plan: Plan) -> KnownFrames | None:

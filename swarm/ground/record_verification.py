@@ -24,6 +24,7 @@ from swarm.ground.record_reader import (
     recorded_events,
     recorded_flight,
     recorded_plan,
+    recorded_skipped,
     recorded_training,
     true_trace,
 )
@@ -111,7 +112,7 @@ class VerifiedRecord:
     ``basis`` and ``adherence`` are None for a record from before certificates. ``log`` has the
     trace and the link statistics of the .tlog, ``truth``: with the emulator's positions.
     ``observations`` are in the order of their entry. ``training`` are the faults that were
-    injected, ``events`` then those of the flight.
+    injected, ``events`` then those of the flight; ``skipped`` the first tests that were skipped.
     """
 
     record: Path
@@ -125,6 +126,7 @@ class VerifiedRecord:
     truth: bool = False
     training: Training | None = None
     events: tuple[Event, ...] = ()
+    skipped: tuple[str, ...] = ()
 
     @property
     def outside_certificate(self) -> bool:
@@ -179,4 +181,5 @@ def verify_record(record: Path, *, truth: bool = False) -> VerifiedRecord:
         truth=truth,
         training=training,
         events=tuple(recorded_events(record)) if training is not None else (),
+        skipped=recorded_skipped(record),
     )

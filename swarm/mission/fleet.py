@@ -4,6 +4,7 @@ Parses text to a frozen :class:`Fleet`. Errors name the key path. The default fl
 emulator.
 """
 
+import hashlib
 import re
 from collections import Counter
 from collections.abc import Iterable
@@ -274,6 +275,15 @@ class Fleet(Section):
                 serial = 0.8 * float(match["baud"])
                 known[name] = min(serial, known.get(name, serial))
         return known
+
+    @property
+    def identity(self) -> str:
+        """What identifies these vehicles: a digest of the name, system ids and autopilots.
+
+        Links, limits and measurements may change.
+        """
+        vehicles = sorted((vehicle.sysid, vehicle.autopilot) for vehicle in self.vehicles)
+        return hashlib.sha256(repr((self.name, vehicles)).encode()).hexdigest()
 
     @property
     def systems(self) -> tuple[int, ...]:

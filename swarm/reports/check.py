@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +16,22 @@ from swarm.flight.parameters import ParameterResult
 from swarm.ground.commissioning.check import CheckReport, VehicleAudit
 from swarm.ground.commissioning.survey import LogDownload
 from swarm.ground.hop import HopResult
+from swarm.ground.ladder import STEPS, PassedStep, Step
 from swarm.reports.mocap import poses_object, poses_table
 from swarm.reports.result import SEVERITIES, Cell, Table, drawn
 
 
 def check_object(
-    report: CheckReport, hop: HopResult | None, folder: Path, measured: Path | None = None
+    report: CheckReport,
+    hop: HopResult | None,
+    folder: Path,
+    measured: Path | None = None,
+    steps: Sequence[PassedStep] | None = None,
 ) -> dict[str, Any]:
     """Return the go/no-go list, vehicles, links, findings and the hover errors of a check.
 
-    Battery and loss are shares. ``measured`` is the fleet file with the tracking error of the hop.
+    Battery and loss are shares. ``measured`` is the fleet file with the tracking error of the hop,
+    ``steps`` are the first tests that the fleet has passed (None: it is emulated).
     """
     return {
         "go": report.passed,
@@ -51,6 +58,7 @@ def check_object(
         "record": str(folder),
         "hop": hop_object(hop) if hop else None,
         "measured_fleet": str(measured) if measured else None,
+        "first_tests": None if steps is None else _steps_object(steps),
     }
 
 
@@ -124,6 +132,28 @@ def print_check(report: CheckReport, console: Console) -> None:
         console.print(Text("GO for flight", "bold green"))
     else:
         console.print(Text("NO-GO: do not arm", "bold red"))
+
+
+def steps_table(steps: Sequence[PassedStep]) -> Table:
+    """Return the first tests, and the last flight with the most vehicles that passed each."""
+    rows: list[tuple[str | Cell, ...]] = []
+    for step, (words, how) in STEPS.items():
+        passed = _of(step, steps)
+        if not passed:
+            rows.append((words, Cell("not passed", "dim"), "", Cell(how, "dim")))
+            continue
+        best = max(passed, key=lambda row: (row.vehicles, row.date))
+        date = datetime.fromisoformat(best.date).astimezone()
+        rows.append((words, f"{date:%Y-%m-%d %H:%M}", str(best.vehicles), Cell(best.record)))
+    return Table(("first test", "passed", "vehicles", "record"), rows, numbers=(2,), whole=(1,))
+
+
+def _steps_object(steps: Sequence[PassedStep]) -> list[dict[str, Any]]:
+    return [{"step": step, "passed": [asdict(row) for row in _of(step, steps)]} for step in STEPS]
+
+
+def _of(step: Step, steps: Iterable[PassedStep]) -> list[PassedStep]:
+    return [row for row in steps if row.step == step]
 
 
 def parameter_table(parameters: Iterable[ParameterResult]) -> Table:

@@ -12,7 +12,7 @@ from rich.console import Console
 from swarm.certification.assessment import Assessment
 from swarm.certification.findings import numbers
 from swarm.exports import tightest_object
-from swarm.flight.result import FlightResult, adherence_object
+from swarm.flight.result import FlightResult, adherence_object, skipped_words
 from swarm.flight.snapshot import Event
 from swarm.flight.swinging import flown_swing, swing_object
 from swarm.flight.tlog import Replayed
@@ -75,6 +75,7 @@ def outcome_object(
         "command_latency": {"median": latency[0], "max": latency[1]} if latency else None,
         "packets_lost": {str(system): count for system, count in statistics.lost.items()},
         "training": training_object(result.training, result.events),
+        "skipped_steps": list(result.skipped),
     }
 
 
@@ -120,6 +121,7 @@ def record_object(verified: VerifiedRecord) -> dict[str, Any]:
         **_link_statistics(verified.log),
         "observations": [asdict(observation) for observation in verified.observations],
         "training": training_object(verified.training, verified.events),
+        "skipped_steps": list(verified.skipped),
     }
 
 
@@ -294,6 +296,7 @@ def print_outcome(plan: Plan, result: FlightResult, outcome: Document, console: 
     if result.stall:
         say(console, f"[bold red]{capitalized(result.stall)}.[/]")
     print_verdict(flight_verdict(plan, outcome), console)
+    _print_skipped(outcome["skipped_steps"], console)
     _print_training(outcome["training"], console)
     if not result.basis.cable and len(plan.layout.lengths):
         words = "Flown without cable: the knot above is the one that these positions would tie."
@@ -311,6 +314,11 @@ def print_outcome(plan: Plan, result: FlightResult, outcome: Document, console: 
     if statistics.cpu is not None:
         line += f", {statistics.cpu:.0%} of a core"
     say(console, line, style="dim")
+
+
+def _print_skipped(steps: Sequence[str], console: Console) -> None:
+    if steps:
+        say(console, f"[yellow]{capitalized(skipped_words(steps))}.[/]")
 
 
 def _print_training(training: Document | None, console: Console) -> None:
@@ -379,6 +387,7 @@ def print_record(verified: VerifiedRecord, document: Document, console: Console)
         if verified.adherence is not None and not verified.adherence.within:
             say(console, f"[bold red]{capitalized(verified.adherence.words)}.[/]")
         say(console, f"Flown {verified.basis.words}.")
+    _print_skipped(document["skipped_steps"], console)
     _print_training(document["training"], console)
     positions = "world's positions" if verified.truth else "reported positions"
     print_verification(verified.plan, document, console, positions=positions)
@@ -444,7 +453,7 @@ def flight_report(
         (clock(event.time), Cell(event_text(event, others), levels[log_level(event)]))
         for event, others in shown
     ]
-    training = outcome.get("training")
+    training, skipped = outcome.get("training"), outcome.get("skipped_steps")
     sections = [
         pages.Section("Training", [training_table(training)] if training else []),
         pages.Section("Smallest distances", [clearance_table(outcome["clearance"])]),
@@ -464,6 +473,7 @@ def flight_report(
             f"Planned knot: {knot_in_words(plan.knot.type, plan.knot.chirality)}",
             f"Flown {outcome['certificate']['description']}.",
             *([training_words(training)] if training else []),
+            *([f"{capitalized(skipped_words(skipped))}."] if skipped else []),
         ],
         figures=_figures(plan, outcome),
         motion=flown_motion(plan, outcome, trace),

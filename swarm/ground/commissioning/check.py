@@ -343,6 +343,7 @@ SUBJECTS = {
     "link": "links",
     "radio": "capacity of the radios",
     "hop": "hover errors in a hop",
+    "first tests": "first tests",
 }
 """The go/no-go list: the checks of findings, in order, with their titles."""
 
