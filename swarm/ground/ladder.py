@@ -187,7 +187,15 @@ def _passes(verified: VerifiedRecord) -> bool:
         return False
     facts = recorded_facts(record)
     real = facts.get("world_start") is None and isinstance(facts.get("start_time"), int | float)
-    return real and recorded_outcome(record) == "done" and verified.passed
+    return real and recorded_outcome(record) == "done" and verified.passed and _followed(verified)
+
+
+def _followed(verified: VerifiedRecord) -> bool:
+    """Return whether the vehicles followed their setpoints as certified, without cable too."""
+    adherence, folding = verified.adherence, verified.verification.tracking
+    if adherence is None or adherence.certified is None or not adherence.within:
+        return False
+    return all(error.largest <= adherence.certified for error in folding if error.phase == "fold")
 
 
 def _read() -> list[PassedStep]:

@@ -114,6 +114,9 @@ def test_a_record_passes_its_step_until_it_does_not_verify_any_more(flown):
         (flown / "summary.json").write_text(summary.replace('"done"', '"interrupted"', 1))
         assert enter(verify_record(flown)) is None
         (flown / "summary.json").write_text(summary)
+        far = replace(verified.verification.tracking[0], phase="fold", largest=0.9)
+        off = replace(verified.verification, tracking=(far,))
+        assert enter(replace(verified, verification=off)) is None
         facts = json.loads((flown / "versions.json").read_text())
         (flown / "versions.json").write_text(json.dumps({**facts, "world_start": 0.0}))
         assert enter(verify_record(flown)) is None
