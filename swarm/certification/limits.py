@@ -11,6 +11,7 @@ from swarm.certification.branch_and_bound import (
     Enclosure,
     EnclosureArrays,
     Evaluator,
+    same_in,
 )
 from swarm.certification.motion_bounds import (
     BoundedMotion,
@@ -41,11 +42,15 @@ from swarm.certification.strand_pieces import (
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.distance import Vector, difference, dot, moved, segment_distance, unit
 from swarm.geometry.sensitivity import BOTH_ENDS
+from swarm.geometry.solids import half_space, plane_between, rows
 from swarm.jit import compiled, inner
-from swarm.signatures import Floats1, Floats2, Floats3, contiguous
+from swarm.signatures import Floats1, Floats2, Floats3, Ints2, contiguous
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
+
+FLOOR = half_space((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+"""The floor, as a solid."""
 
 
 def chords_within(cable: HeldCable, share: float = MAX_CHORD_RATIO) -> Evaluator:
@@ -66,11 +71,32 @@ def above_floor(cable: HeldCable, diameter: float, required: float) -> Evaluator
 
     In wind, coordinates are time, tilt and a fraction.
     """
-    write = _write_heights_in_wind if cable.tilts else _write_heights
+    if cable.tilts:
+        segments = np.arange(len(cable.lengths))
+        pairs = np.stack([segments, np.zeros_like(segments)], axis=1)
+        return beside_solids(cable, rows([FLOOR]), pairs, diameter, required)
 
     def evaluate(boxes: Boxes) -> Enclosure:
         found = Enclosure.not_found(boxes)
-        write(cable.tables, (0.5 * diameter, required), boxes.arrays(), found.arrays())
+        limits = 0.5 * diameter, required
+        _write_heights(cable.tables, limits, boxes.arrays(), found.arrays())
+        return found
+
+    return evaluate
+
+
+def beside_solids(
+    cable: HeldCable, solids: Floats, pairs: Ints, diameter: float, required: float
+) -> Evaluator:
+    """Bound the distances of strands from convex solids (m, 12), less the required distance.
+
+    ``pairs`` (q, 2) of a segment and a solid. Coordinates are time, in wind tilt, and a fraction.
+    """
+    kept = contiguous(pairs), contiguous(solids), 0.5 * diameter, required
+
+    def evaluate(boxes: Boxes) -> Enclosure:
+        found = Enclosure.not_found(boxes)
+        _write_beside_solids(cable.tables, *kept, boxes.arrays(), found.arrays())
         return found
 
     return evaluate
@@ -146,36 +172,61 @@ def _lowest(cable: CableTables, segment: int, instant: Instant) -> tuple[float, 
 
 
 @compiled
-def _write_heights_in_wind(
-    cable: CableTables, heights: tuple[float, float], boxes: BoxArrays, found: EnclosureArrays
-) -> None:
-    """Write the margins of pieces of strands that lean to the sum of two ``heights``."""
+def _write_beside_solids(
+    cable: CableTables, pairs: Ints2, solids: Floats2, radius: float, required: float,
+    boxes: BoxArrays, found: EnclosureArrays,
+) -> None:  # fmt: skip
+    """Write the margins of pieces of strands of a radius beside solids (m, 12)."""
+    known, k = -1, boxes.middle.shape[1] - 1
     for b in range(len(boxes.group)):
-        middle, half, segment = boxes.middle[b], boxes.half[b], boxes.group[b]
-        gravity = gravity_in(cable, middle, half)
+        middle, half, (segment, which) = boxes.middle[b], boxes.half[b], pairs[boxes.group[b]]
+        solid = solids[which]
+        if known < 0 or not same_in(boxes, known, b, k):
+            known, gravity = b, gravity_in(cable, middle, half)
+            if is_bounded(gravity):
+                instant = instant_at(cable.motion, middle[0], half[0])
+                grips = ends_at(cable.motion, instant, segment)
+                along = _along_slab(grips, solid)
+                displacement = Displacement(along, BOTH_ENDS, cable.tracking, 0.0)
+                held = held_strand(cable, segment, grips, instant, displacement, gravity)
         if not is_bounded(gravity):
             write_unbounded(gravity, b, found)
             continue
-        instant = instant_at(cable.motion, middle[0], half[0])
-        grips = ends_at(cable.motion, instant, segment)
-        displacement = Displacement(_level_velocity(grips), BOTH_ENDS, cable.tracking, 0.0)
-        held = held_strand(cable, segment, grips, instant, displacement, gravity)
-        piece = held_piece(cable, held, instant, Part(middle[3], half[3], 0.0, 1.0))
-        lower = 0.0 if piece.near[2] <= piece.far[2] else 1.0
-        low, high, doubts = kept_from_plane(cable, piece, (0.0, 0.0, 1.0), lower, gravity)
-        found.low[b] = low - heights[0] - heights[1]
-        found.high[b] = high - heights[0] - heights[1]
-        for k in range(4):
-            found.doubts[b, k] = doubts[k]
+        piece = held_piece(cable, held, instant, Part(middle[k], half[k], 0.0, 1.0))
+        here, normal, wall = plane_between(solid, piece.near, piece.far)
+        low, high, doubts = kept_from_plane(cable, piece, normal, here, gravity)
+        found.low[b] = low - wall - radius - required
+        found.high[b] = high - wall - radius - required
+        found.doubts[b, 0], found.doubts[b, k] = doubts[0], doubts[3]
+        if k > 1:
+            found.doubts[b, 1], found.doubts[b, 2] = doubts[1], doubts[2]
         for axis in range(3):
             found.place[b, axis] = 0.5 * (piece.near[axis] + piece.far[axis])
 
 
 @inner
+def _along_slab(grips: tuple[Grip, Grip], solid: Floats) -> Vector:
+    """Return the mean velocity of two grip points along a half-space, which changes no distance.
+
+    Nothing beside other solids.
+    """
+    if solid[4] < np.inf:
+        return 0.0, 0.0, 0.0
+    normal, mean = (solid[7], solid[8], solid[9]), _mean_velocity(grips)
+    return moved(mean, -dot(normal, mean), normal)
+
+
+@inner
 def _level_velocity(grips: tuple[Grip, Grip]) -> Vector:
     """Return the mean velocity of two grip points without its vertical part."""
+    mean = _mean_velocity(grips)
+    return mean[0], mean[1], 0.0
+
+
+@inner
+def _mean_velocity(grips: tuple[Grip, Grip]) -> Vector:
     one, other = grips[0].velocity, grips[1].velocity
-    return 0.5 * (one[0] + other[0]), 0.5 * (one[1] + other[1]), 0.0
+    return 0.5 * (one[0] + other[0]), 0.5 * (one[1] + other[1]), 0.5 * (one[2] + other[2])
 
 
 _OUTSIDE = 1e-6
