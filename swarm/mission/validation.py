@@ -10,7 +10,7 @@ import math
 import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
@@ -275,9 +275,10 @@ def validate(
         return model.model_validate(document)
     except ValidationError as error:
         lines = key_lines(text, overrides)
-        items = [item for item in error.errors() if not _only_invalid(dict(item))]
+        items = [_of_choice(dict(item)) for item in error.errors()]
+        items = [item for item in items if not _only_invalid(item)]
         items.sort(key=lambda item: line_of(_named(item["loc"]), lines) or 0)
-        problems = [_problem(model, dict(item), source, lines) for item in items]
+        problems = [_problem(model, document, item, source, lines) for item in items]
         raise InputError(list(dict.fromkeys(problems))) from None
 
 
@@ -289,6 +290,20 @@ def read_model(model: type[Model], text: str, source: str, overrides: Iterable[s
     overrides = tuple(overrides)
     document = apply_overrides(parse_yaml(text, source), overrides)
     return validate(model, document, source, text, overrides)
+
+
+def _of_choice(item: dict[str, Any]) -> dict[str, Any]:
+    """Return an error in which of several sections an entry is as one of the key that says it."""
+    choice = str(item.get("ctx", {}).get("discriminator", "")).strip("'")
+    if not choice:
+        return item
+    given, wrong = item["input"].get(choice), item["type"] == "union_tag_invalid"
+    return item | {
+        "type": "literal_error" if wrong else "missing",
+        "loc": (*item["loc"], choice),
+        "input": given,
+        "ctx": {"expected": item["ctx"].get("expected_tags")},
+    }
 
 
 def _only_invalid(item: dict[str, Any]) -> bool:
@@ -313,10 +328,16 @@ def place_of(source: str, keys: Sequence[str], lines: Mapping[tuple[str, ...], i
 
 
 def _problem(
-    model: type[BaseModel], item: dict[str, Any], source: str, lines: Mapping[tuple[str, ...], int]
+    model: type[BaseModel],
+    document: Any,
+    item: dict[str, Any],
+    source: str,
+    lines: Mapping[tuple[str, ...], int],
 ) -> Problem:
     keys, field = _named_field(model, item["loc"])
     place = place_of(source, keys, lines)
+    if name := _entry_name(document, keys):
+        place += f" ({name})"
     got = f"got {shown(item['input'])}"
     match item["type"]:
         case "extra_forbidden":
@@ -335,6 +356,19 @@ def _problem(
         case _:
             hint = _other_unit(field, item["input"])
             return Problem(place, f"expected {_expected(field, item)}, {got}{hint}")
+
+
+def _entry_name(document: Any, keys: Sequence[str]) -> str:
+    """Return the name of the innermost entry of a list that has one, on the way to a key."""
+    name = ""
+    for key in keys:
+        if isinstance(document, Mapping):
+            document = document.get(key)
+        elif isinstance(document, list | tuple):
+            document = dict(enumerate(document)).get(int(key) if key.isdecimal() else -1)
+            given = document.get("name") if isinstance(document, Mapping) else None
+            name = given if isinstance(given, str) else name
+    return name
 
 
 def _nearest_key(model: type[BaseModel], keys: list[str]) -> str:
@@ -393,28 +427,39 @@ def _named_field(
     """Return the key path of an error without pydantic's union tags, and its innermost field."""
     keys: list[str] = []
     field: FieldInfo | None = None
-    inside: Any = model
+    inside: Sequence[type[BaseModel]] = [model]
     for part in location:
         if isinstance(part, int):
             keys.append(str(part))
-        elif isinstance(inside, type) and issubclass(inside, BaseModel):
+        elif chosen := [
+            section for section in inside if len(inside) > 1 and _has_tag(section, part)
+        ]:
+            inside = chosen
+        elif inside:
             keys.append(part)
-            if part not in inside.model_fields:
+            if part not in inside[0].model_fields:
                 return keys, None
-            field = inside.model_fields[part]
-            inside = _section_of(field.annotation)
+            field = inside[0].model_fields[part]
+            inside = _sections_of(field.annotation)
     return keys, field
+
+
+def _has_tag(section: type[BaseModel], tag: str) -> bool:
+    """Return whether a key of a section takes only this word, by which it is told from others."""
+    return any(get_args(field.annotation) == (tag,) for field in section.model_fields.values())
 
 
 def _section_of(annotation: Any) -> Any:
     """Return the model of an annotation: bare, optional or as the element of a list."""
+    return next(iter(_sections_of(annotation)), None)
+
+
+def _sections_of(annotation: Any) -> list[type[BaseModel]]:
+    """Return the models of an annotation: several where an entry is one of them."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for argument in getattr(annotation, "__args__", ()):
-        found = _section_of(argument)
-        if found is not None:
-            return found
-    return None
+        return [annotation]
+    arguments = getattr(annotation, "__args__", ())
+    return [section for argument in arguments for section in _sections_of(argument)]
 
 
 def _expected(field: FieldInfo | None, item: dict[str, Any]) -> str:
@@ -424,7 +469,7 @@ def _expected(field: FieldInfo | None, item: dict[str, Any]) -> str:
     match item["type"]:
         case "literal_error":
             return str(item["ctx"]["expected"]).replace("'", "")
-        case "model_type" | "dict_type":
+        case "model_type" | "dict_type" | "model_attributes_type":
             return "a mapping of keys"
         case "string_type":
             return "text"
