@@ -79,7 +79,7 @@ class Rates:
 
 
 def plan_facts(plan: Plan, fleet: Fleet | None) -> dict[str, Any]:
-    """Return what does not change in a flight: the plan, the fence, the pads, and where north is.
+    """Return what does not change in a flight: plan, workspace, pads, and where north is.
 
     ``north`` is the direction of north in the mission's axes, radians from x towards y; None where
     the fleet does not say it.
@@ -104,7 +104,10 @@ def plan_facts(plan: Plan, fleet: Fleet | None) -> dict[str, Any]:
         "low": _places(low),
         "high": _places(high),
         "paths": [_places(path[:, :3]) for path in np.moveaxis(places, 1, 0)],
-        "fence": [list(corner) for corner in workspace.fence or ()],
+        "lines": {
+            name: [_places(strip) for strip in strips]
+            for name, strips in scene.workspace_lines(plan).items()
+        },
         "ceiling": workspace.ceiling,
         "north": None if heading is None else math.pi / 2 + math.radians(heading),
         "radius": plan.mission.vehicles.radius,

@@ -6,6 +6,7 @@ passes each message to all sinks of a context: a log, a server, or both.
 
 import json
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -116,11 +117,12 @@ class Messages:
         self._vehicles = [f"/vehicle_{k + 1}/state" for k in range(vehicles)]
 
     def field(self, plan: Plan, stamp: int) -> None:
-        """Send what stands still: the pads and the fence."""
+        """Send what stands still: the pads and what bounds the workspace."""
         pads = plan.motion.at(plan.motion.times[0])[0] * [1.0, 1.0, 0.0]
         discs = [_disc(place, 1.2 * self._radius, 0.01, _PAD) for place in pads.tolist()]
-        fence = [_line(line, _FENCE) for line in scene.fence_lines(plan)]
-        self._entities([_entity("field", stamp, cylinders=discs, lines=fence)], stamp)
+        lines = chain.from_iterable(scene.workspace_lines(plan).values())
+        bounds = [_line(line, _FENCE) for line in lines]
+        self._entities([_entity("field", stamp, cylinders=discs, lines=bounds)], stamp)
 
     def scene(
         self, centres: Floats, strands: Floats, colours: Floats, stamp: int,

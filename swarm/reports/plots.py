@@ -114,7 +114,9 @@ def plan_figure(plan: Plan) -> Figure:
     cells = figure.add_gridspec(1, len(shares), width_ratios=shares)
     if grid:
         draw_grid(figure.add_subplot(cells[0, 0]), plan.knot, plan.layout)
-    draw_plan_view(figure.add_subplot(cells[0, -2]), plan.layout)
+    above = figure.add_subplot(cells[0, -2])
+    draw_plan_view(above, plan.layout)
+    draw_workspace(above, plan)
     folded = figure.add_subplot(cells[0, -1], projection="3d")
     draw_fold(folded, plan.layout)
     figure.suptitle(_headline(plan))
@@ -185,6 +187,7 @@ def plan_pictures(plan: Plan, assessment: Assessment) -> list[Picture]:
         pictures.append(picture(figure, f"Grid diagram of the knot, {words}"))
     figure, axes = new_axes()
     draw_plan_view(axes, plan.layout)
+    draw_workspace(axes, plan)
     pictures.append(picture(figure, "The cable from above; under strands have gaps"))
     figure, axes = new_axes((8.0, 3.8), projection="3d")
     draw_fold(axes, plan.layout, zoom=1.35)
@@ -354,6 +357,26 @@ def draw_plan_view(axes: Axes, layout: KnotLayout) -> None:
     axes.set_title("Plan view")
 
 
+def draw_workspace(axes: Axes, plan: Plan) -> None:
+    """Draw what bounds the workspace into a plan view, and show what is no wider than it whole."""
+    shown = np.array([axes.get_xlim(), axes.get_ylim()]).T
+    span = (shown[1] - shown[0]).max()
+    for name, lines in scene.workspace_lines(plan).items():
+        strips = [strip[:, :2] for strip in lines]
+        drawn = LineCollection(strips, colors=ALARM, linewidths=0.9, linestyles="--")
+        axes.add_collection(drawn, autolim=False)
+        low, high = np.vstack(strips).min(axis=0), np.vstack(strips).max(axis=0)
+        if np.all(low >= shown[0] - span) and np.all(high <= shown[1] + span):
+            bounds = np.array([axes.get_xlim(), axes.get_ylim()]).T
+            low, high = (
+                np.minimum(bounds[0], low - 0.06 * span),
+                np.maximum(bounds[1], high + 0.06 * span),
+            )
+            axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+            place = np.vstack(strips).mean(axis=0)
+            axes.text(*place, name, color=ALARM, fontsize=7, ha="center", va="center")
+
+
 def _extent(points: Floats) -> tuple[Floats, Floats]:
     """Return two opposite corners of a box around points, with sides of at least FLAT."""
     low, high = points.min(axis=0), points.max(axis=0)
@@ -482,6 +505,7 @@ def draw_clock(axes: Axes, trace: Trace) -> None:
 def draw_flown_view(axes: Axes, plan: Plan, trace: Trace) -> None:
     """Draw the planned plan view and the last reported positions of the hold."""
     draw_plan_view(axes, plan.layout)
+    draw_workspace(axes, plan)
     held = trace.position[np.array(trace.phase, dtype=str) == "hold"]
     known = held[np.isfinite(held).all(axis=(1, 2))]
     if len(known):

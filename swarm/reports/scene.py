@@ -1,4 +1,4 @@
-"""The geometry that pictures show, as arrays: strands of cable, crossings, fence, colours.
+"""The geometry that pictures show, as arrays: strands of cable, crossings, workspace, colours.
 
 Pictures are drawn of bad data as well: a strand that is stretched beyond its length is straight,
 and a strand with an unknown end is left out.
@@ -214,20 +214,23 @@ def crossings(layout: KnotLayout) -> list[Crossing]:
     return found
 
 
-def fence_lines(plan: Plan) -> list[Floats]:
-    """Return the geofence as line strips: on the floor, at the ceiling, and its posts."""
-    fence = plan.mission.workspace.fence
-    if fence is None:
-        return []
-    corners = np.array(fence, dtype=np.float64)
-    top = plan.mission.workspace.ceiling
+def workspace_lines(plan: Plan) -> dict[str, list[Floats]]:
+    """Return what bounds the workspace as line strips (k, 3), by name; metres.
+
+    The geofence: on the floor, at the ceiling, and its posts.
+    """
+    workspace = plan.mission.workspace
+    lines = {}
+    if workspace.fence is not None:
+        lines["fence"] = _prism_lines(np.array(workspace.fence), 0.0, workspace.ceiling)
+    return lines
+
+
+def _prism_lines(corners: Floats, low: float, high: float) -> list[Floats]:
+    """Return the edges of a prism over a polygon (k, 2): both rings, then those upright."""
     ring = np.vstack([corners, corners[:1]])
-    posts = [np.array([[*corner, 0.0], [*corner, top]]) for corner in corners]
-    return [
-        np.column_stack([ring, np.zeros(len(ring))]),
-        np.column_stack([ring, np.full(len(ring), top)]),
-        *posts,
-    ]
+    rings = [np.column_stack([ring, np.full(len(ring), height)]) for height in (low, high)]
+    return rings + [np.array([[*corner, low], [*corner, high]]) for corner in corners]
 
 
 def thrust_quaternions(acceleration: Floats) -> Floats:

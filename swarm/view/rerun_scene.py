@@ -76,17 +76,16 @@ SLOW_PERIOD: Final = 1.0
 
 
 def log_plan(stream: rr.RecordingStream, plan: Plan) -> None:
-    """Log the static entities: axes, fence, pads, path, folded knot and its crossings."""
+    """Log the static entities: axes, workspace, pads, path, folded knot and its crossings."""
 
-    def static(entity: str, *components: rr.AsComponents) -> None:
+    def static(entity: str | list[str], *components: rr.AsComponents) -> None:
         stream.log(entity, *components, static=True)
 
     vehicles = plan.mission.vehicles
     static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
     _log_wind(static, plan)
-    fence = scene.fence_lines(plan)
-    if fence:
-        static("fence", rr.LineStrips3D(fence, radii=0.015, colors=(200, 90, 60)))
+    for name, lines in scene.workspace_lines(plan).items():
+        static([name], rr.LineStrips3D(lines, radii=0.015, colors=(200, 90, 60)))
     pads = plan.motion.at(plan.motion.times[0])[0] * [1.0, 1.0, 0.0]
     static(
         "pads",

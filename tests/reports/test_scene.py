@@ -118,11 +118,11 @@ def test_planned_cable_follows_the_same_rules() -> None:
 
 
 def test_fence_has_floor_ceiling_and_posts() -> None:
-    floor, top, *posts = scene.fence_lines(PLAN)
+    floor, top, *posts = scene.workspace_lines(PLAN)["fence"]
     assert len(posts) == 3
     np.testing.assert_array_equal(floor[0], floor[-1])
     assert (top[:, 2] == PLAN.mission.workspace.ceiling).all()
-    assert scene.fence_lines(trefoil_plan()) == []
+    assert scene.workspace_lines(trefoil_plan()) == {}
 
 
 @given(st.lists(st.floats(-8, 8), min_size=3, max_size=3))

@@ -96,11 +96,17 @@ function vehicle(pen, x, y, radius, row, colours) {
 
 const niceStep = (metres) => [0.5, 1, 2, 5, 10, 20, 50].find((step) => step >= metres) || 100;
 
+// What bounds the workspace.
+function bounds(pen, plan, at, colours) {
+  Object.values(plan.lines).flat().forEach((strip) =>
+    line(pen, strip.map(at), colours.fence, 1.5, [7, 4]));
+}
+
 function drawAbove(canvas, plan, state) {
   const { pen, width, height } = prepared(canvas), colours = palette(), dark = darkScheme.matches;
   const shown = [plan.low, plan.high, ...plan.pads];
   const span = Math.max(plan.high[0] - plan.low[0], plan.high[1] - plan.low[1], 4);
-  shown.push(...plan.fence.filter((p) =>
+  shown.push(...Object.values(plan.lines).flat(2).filter((p) =>
     p[0] > plan.low[0] - span && p[0] < plan.high[0] + span
     && p[1] > plan.low[1] - span && p[1] < plan.high[1] + span));
   if (state) shown.push(...state.rows.map((row) => row.place).filter(known));
@@ -117,7 +123,7 @@ function drawAbove(canvas, plan, state) {
     line(pen, [[at([x, 0])[0], 0], [at([x, 0])[0], height]], colours.line, 0.5);
   for (let y = Math.ceil((middle[1] - height / scale) / step) * step; y < middle[1] + height / scale; y += step)
     line(pen, [[0, at([0, y])[1]], [width, at([0, y])[1]]], colours.line, 0.5);
-  if (plan.fence.length) line(pen, [...plan.fence, plan.fence[0]].map(at), colours.fence, 1.5, [7, 4]);
+  bounds(pen, plan, at, colours);
   plan.paths.forEach((path) => line(pen, path.map(at), colours.path, 1));
   plan.pads.forEach((pad) => {
     const [x, y] = at(pad);
@@ -137,7 +143,8 @@ function drawAbove(canvas, plan, state) {
   const bar = step * scale;
   line(pen, [[10, height - 10], [10 + bar, height - 10]], colours.ink, 2);
   words(pen, `${step} m`, 14 + bar, height - 10, colours.ink, colours.card, "left");
-  const note = plan.fence.length ? "from above; dashed: fence" : "from above; no fence";
+  const dashed = Object.keys(plan.lines).join(", ");
+  const note = dashed ? `from above; dashed: ${dashed}` : "from above; no fence";
   words(pen, note, 10, 12, colours.dim, colours.card, "left");
   if (plan.north === null) return;
   const [dx, dy] = [Math.cos(plan.north), -Math.sin(plan.north)], [x, y] = [width - 22, 26];
@@ -165,6 +172,7 @@ function drawSide(canvas, plan, state) {
     words(pen, `${z} m`, left - 4, floor - scale * z, colours.dim, colours.card, "right");
   }
   const ceiling = floor - scale * plan.ceiling;
+  bounds(pen, plan, at, colours);
   if (ceiling > 14) line(pen, [[left, ceiling], [width - 6, ceiling]], colours.fence, 1.5, [7, 4]);
   if (state) {
     cable(pen, state.strands, at, (p) => -p[1], colours, dark);
