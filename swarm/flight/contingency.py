@@ -19,7 +19,7 @@ from swarm.flight.failures import ENDS, End, Response, Windows
 from swarm.flight.observing import follow_swing, monitor
 from swarm.flight.pace import advance_clock, allowed_pace, rewind_end
 from swarm.flight.router import answer_limit
-from swarm.flight.separation import separation_motion, solo_landing_distance
+from swarm.flight.separation import separation_motion, spread_here
 from swarm.flight.stages import Stage, Step, StepTrigger, Trigger
 from swarm.flight.state import Contingency, FlightState
 from swarm.flight.streams import continue_rejoining, outside
@@ -545,11 +545,7 @@ def _begin_separation(flight: FlightState) -> None:
             start[stays] = position
         centre, spread = start[stays], setup.separations.at(flight.clock.time, stays)
     else:
-        centre = start.mean(axis=0)
-        first, second = np.triu_indices(len(start), 1)
-        level = np.linalg.norm(start[first, :2] - start[second, :2], axis=1)
-        nearest = max(float(level.min(initial=np.inf)), 1e-3)
-        spread = float(np.clip(solo_landing_distance(mission) / nearest, 1.0, 4.0))
+        centre, spread = start.mean(axis=0), spread_here(start, mission)
     flight.guidance.follow(separation_motion(start, centre, spread, mission), flight.timing.moving)
     contingency_of(flight).change_step(StepTrigger.RELEASED, flight.now)
 

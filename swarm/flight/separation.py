@@ -74,6 +74,14 @@ def solo_landing_distance(mission: Mission) -> float:
     return 1.5 * (mission.clearance.vehicle + 2.0 * mission.vehicles.tracking)
 
 
+def spread_here(start: Floats, mission: Mission) -> float:
+    """Return the factor by which distances of vehicles at ``start`` (n, 3) grow, all alike."""
+    first, second = np.triu_indices(len(start), 1)
+    level = np.linalg.norm(start[first, :2] - start[second, :2], axis=1)
+    nearest = max(float(level.min(initial=np.inf)), 1e-3)
+    return float(np.clip(solo_landing_distance(mission) / nearest, 1.0, MOST_SPREAD))
+
+
 def separation_motion(start: Floats, centre: Floats, spread: float, mission: Mission) -> Motion:
     """Return the motion (n vehicles) from rest at ``start`` (n, 3) apart and up, ENU metres.
 
