@@ -26,13 +26,14 @@ from tests.network import sideways
 from tests.shared import shared
 
 FENCE = "workspace.fence=[[-20,-20],[40,-20],[40,20],[-20,20]]"
+WALL = "workspace.obstacles=[{name: wall, shape: box, centre: [10, -16], size: [60, 1], turn: 2, top: 9}]"
 STEP = 0.1
 
 
 @shared
 def put_down() -> Plan:
-    """Five vehicles inside a fence that lift a line, move it, and put it down."""
-    return sideways("finish=hold", FENCE, vehicles=5)
+    """Five vehicles inside a fence, beside a wall, that lift a line, move it, and put it down."""
+    return sideways("finish=hold", FENCE, WALL, vehicles=5)
 
 
 def flown(plan: Plan) -> Flown:
@@ -88,6 +89,9 @@ VIOLATIONS = {
     "vehicle_cable": put("aloft", 4, 1, 1.5, 0.0, -0.6),
     "rotor_disc": put("aloft", 4, 3, 0.05, 0.0, 2.0),
     "vehicle_fence": moved("aloft", 4, 0.0, 40.0, 0.0),
+    "vehicle_obstacle": moved("aloft", 4, 0.0, -17.8, 0.0),
+    "cable_obstacle": moved("aloft", 0, 0.0, -18.5, 0.0),
+    "obstacle_reach": moved("dragged", 4, 0.0, -15.5, 0.0),
     "cable_fence": moved("aloft", 0, -20.0, 0.0, 0.0),
 }
 

@@ -1,5 +1,7 @@
 """Missions without a knot: formations with or without cable, planned, checked and flown."""
 
+import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ from swarm.errors import InputError, Refused
 from swarm.mission import Mission, parse_mission
 from swarm.planning.candidates import make_plan
 from swarm.verification import verify_trace
+from tests.command import run
 from tests.network import Network
 
 FIRST_STEPS = Path(__file__).parents[1] / "missions" / "first-steps"
@@ -96,6 +99,40 @@ def test_three_vehicles_without_cable_are_certified_and_flown() -> None:
     assert outcome is not None
     assert outcome.word == "done", network.words()[-8:]
     assert not network.conductor.basis.cable
+
+
+CARRIED = f"formation: {{places: [{PAIR}, [[0, 2, 3], [3, 2, 3]]], lengths: [3.6]}}"
+
+
+def test_a_table_beside_the_team_does_not_stop_it() -> None:
+    table = "{name: table, shape: box, centre: [1.5, -2], size: [1.2, 0.8], top: 0.75}"
+    plan = make_plan(mission(f"{CARRIED}, workspace: {{obstacles: [{table}]}}"))
+    without = make_plan(mission(CARRIED))
+    assert np.array_equal(plan.motion.coefficients, without.motion.coefficients)
+    flight_plan = CertifiedPlan(plan, certify(plan))
+    outcome = Network(flight_plan).run(most=600.0)
+    assert outcome is not None
+    assert outcome.word == "done"
+
+
+def test_a_truss_in_the_way_is_refused_by_name_with_place_and_time(tmp_path: Path) -> None:
+    """Two metres of way at 3 m of height; the cable hangs 0.85 m below, over a truss at 2.5 m."""
+    truss = "{name: truss, shape: box, centre: [1.5, 1], size: [4, 0.2], bottom: 2.4, top: 2.6}"
+    path = tmp_path / "hall.yaml"
+    path.write_text(f"{{schema: 1, name: hall, {CARRIED}, workspace: {{obstacles: [{truss}]}}}}")
+    said = run("plan", str(path), "--json")
+    assert said.returncode == 1
+    errors = [one for one in json.loads(said.stdout)["findings"] if one["severity"] == "error"]
+    assert errors
+    for error in errors:
+        assert error["check"] == "obstacle"
+        assert re.fullmatch(
+            r"0\.\d{3} m too near obstacle truss: (segment 1|vehicle [12]) for tracking errors up to "
+            r"0\.1 m; move it, or the mission's origin away from it \(at \d+\.\d\d s, near "
+            r"\(-?\d\.\d\d, [01]\.\d\d, [12]\.\d\d\)\)",
+            error["message"],
+        ), error["message"]
+    assert any("segment 1" in error["message"] for error in errors)
 
 
 @pytest.mark.parametrize(

@@ -227,6 +227,62 @@ knot: {name: 3_1}
     ]
 
 
+OBSTACLES = """schema: 1
+name: hall
+knot: {name: overhand, chirality: right}
+clearance: {obstacle: -1}
+workspace:
+  obstacles:
+    - {name: table, shape: box, centre: [3, 0], size: [1.6, 0.0], top: 0.75}
+    - {name: truss, shape: cylnder, centre: [3, 0], radius: 1, top: 3}
+    - {name: pillar, shape: cylinder, centre: [3, 0], radius: 0, top: 3, raduis: 3}
+    - {name: post, centre: [3, 0], radius: 0, top: 3}
+    - 5
+    - {name: net, shape: half-space, point: [0, 1, 3], normal: [0, 0, 0]}
+    - {name: high, shape: box, centre: [0, 1], size: [1, 1], bottom: 3, top: 2}
+    - {shape: cylinder, centre: [1e9, 1], radius: 1, top: 2}
+"""
+
+
+def test_wrong_obstacles_are_reported_with_their_names() -> None:
+    at = "workspace.obstacles"
+    assert problems(OBSTACLES) == [
+        "m.yaml:4: clearance.obstacle: expected a length > 0 in metres, got -1",
+        f"m.yaml:7: {at}.0.size.1 (table): expected a number > 0, got 0.0",
+        f"m.yaml:8: {at}.1.shape (truss): expected box, cylinder, half-space, got 'cylnder': did "
+        "you mean cylinder?",
+        f"m.yaml:9: {at}.2.radius (pillar): expected a length > 0 in metres, got 0",
+        f"m.yaml:9: {at}.2.raduis (pillar): unknown key, got 3",
+        f"m.yaml:10: {at}.3.shape (post): expected this key (Its shape.), got nothing; for example: "
+        "shape: box",
+        f"m.yaml:11: {at}.4: expected a mapping of keys, got 5",
+        f"m.yaml:12: {at}.5 (net): expected a normal that is not 0, 0, 0",
+        f"m.yaml:13: {at}.6 (high): expected top > bottom, got 2 and 3",
+        f"m.yaml:14: {at}.7.name: expected this key (Name of the obstacle in messages and "
+        "pictures.), got nothing; for example: name: table",
+        f"m.yaml:14: {at}.7.centre.0: expected a number <= 10000, got 1000000000.0",
+    ]
+
+
+def test_obstacles_have_names_of_their_own() -> None:
+    one = "{name: net, shape: half-space, point: [0, 1, 3], normal: [0, 0, 1]}"
+    text = f"schema: 1\nname: a\nknot: {{name: 3_1}}\nworkspace: {{obstacles: [{one}, {one}]}}"
+    assert problems(text) == [
+        "m.yaml:4: workspace: expected a name of its own for each obstacle, got net twice"
+    ]
+
+
+def test_missions_without_obstacles_are_written_as_before() -> None:
+    """Digests of plans, plan files and records have every key of a mission."""
+    written = mission_for_knot("overhand").document()
+    assert set(written["workspace"]) == {"ceiling", "fence"}
+    assert "obstacle" not in written["clearance"]
+    table = "{name: table, shape: box, centre: [3, 0], size: [1, 1], top: 1}"
+    mission = mission_for_knot("overhand", (f"workspace.obstacles=[{table}]",))
+    assert mission.document()["clearance"]["obstacle"] == 0.2
+    assert Mission.model_validate(mission.document()) == mission
+
+
 def test_an_unknown_knot_is_reported_together_with_wrong_keys(tmp_path: Path) -> None:
     file = tmp_path / "m.yaml"
     file.write_text("schema: 1\nname: x\nknot:\n  name: overhnad\ncable: {length: 0}\n")

@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.chain import polyline
+from swarm.geometry.solids import distances, grown, obstacles_of
+from swarm.mission import Mission
 from swarm.planning import Plan
 from swarm.planning.clock_limits import URGENT
 
@@ -25,6 +27,9 @@ STAGGER = 1.0
 """Seconds by which vehicles may begin a common descent at different times."""
 AROUND_ROTORS = 0.1
 """Metres beside a rotor disc within which no cable may fall."""
+
+UP = 1.0
+"""Metres by which the team climbs while it separates after a release."""
 
 _NEARLY_STRAIGHT = 0.9999
 """Largest ratio of chord to length at which strands are drawn: a straight one has no catenary."""
@@ -90,9 +95,9 @@ class ContingencyWindows:
 def contingency_windows(plan: Plan, *, whole: bool = False) -> ContingencyWindows:
     """Return the windows of a plan while its cable is aloft, or of the ``whole`` flight.
 
-    Both need rotors without cable above them (:func:`rotors_clear`). For landing, vehicles must
-    also be apart horizontally, and chords must allow that some vehicles are LANDING_SPEED·STAGGER
-    lower than others.
+    Both need rotors without cable above them (:func:`rotors_clear`), and no obstacle below vehicles
+    or UP above them. For landing, vehicles must also be apart horizontally, chords must allow that
+    some vehicles are LANDING_SPEED·STAGGER lower than others, and no obstacle may be below cable.
     """
     phases = [phase for phase in plan.phases if whole or phase.cable == "aloft"]
     instants = [
@@ -109,11 +114,48 @@ def contingency_windows(plan: Plan, *, whole: bool = False) -> ContingencyWindow
         part = slice(begin, begin + _BATCH)
         position, held = plan.motion.at(time[part])[0], hangs[part]
         even = ~held
+        release[part] = clear_below(plan.mission, position)
         if held.any():
-            release[part][held] = rotors_clear(plan, position[held])
+            release[part][held] &= rotors_clear(plan, position[held])
             even[held] = _chords_allow_stagger(plan, position[held])
+            even[held] &= _cable_clear_below(plan, position[held])
         land[part] = release[part] & _vehicles_apart(plan, position) & even
     return ContingencyWindows(time, land, release)
+
+
+def clear_below(mission: Mission, position: Floats) -> Flags:
+    """Return whether no obstacle is near vehicles (k,), below them, or up to UP above them.
+
+    For grip points (k, n, 3), with tracking errors.
+    """
+    vehicles, solids = mission.vehicles, obstacles_of(mission)
+    bodies = grown(solids, vehicles.radius, vehicles.grip_offset + UP)
+    return _nothing_below(bodies, position, mission.clearance.obstacle + vehicles.tracking)
+
+
+def _nothing_below(solids: Floats, points: Floats, required: float) -> Flags:
+    """Return whether points (k, q, 3) keep a distance from solids (k,), down to the floor."""
+    below = solids.copy()
+    below[np.isfinite(below[:, 4]), 11] = np.inf  # what is above a solid comes down to it
+    ways = points[:, :, None], points[:, :, None] * [1.0, 1.0, 0.0]
+    clear: Flags = np.all([distances(below, ends) >= required for ends in ways], axis=(0, 2, 3))
+    return clear
+
+
+def _cable_clear_below(plan: Plan, position: Floats) -> Flags:
+    """Return whether no obstacle is near the cable or below it (k,), for grip points (k, n, 3)."""
+    mission = plan.mission
+    cable, apart = _cable_points(plan, position)
+    required = mission.clearance.obstacle + 0.5 * mission.cable.diameter + 0.5 * apart
+    return _nothing_below(obstacles_of(mission), cable, required + mission.vehicles.tracking)
+
+
+def _cable_points(plan: Plan, position: Floats) -> tuple[Floats, float]:
+    """Return points (k, m, 3) of the cable, and how far they are apart at most, metres."""
+    lengths = plan.layout.lengths
+    chords = np.linalg.norm(np.diff(position, axis=1), axis=-1)
+    cable = polyline(position, np.maximum(lengths, chords / _NEARLY_STRAIGHT), _PIECES)
+    return cable, float(lengths.max(initial=0.0)) / _PIECES
 
 
 def rotors_clear(plan: Plan, position: Floats) -> Flags:
@@ -132,11 +174,10 @@ def above_rotors(plan: Plan, position: Floats) -> Flags:
     found = np.zeros((*position.shape[:2], len(lengths)), dtype=bool)
     if not len(lengths):
         return found
-    chords = np.linalg.norm(np.diff(position, axis=1), axis=-1)
-    cable = polyline(position, np.maximum(lengths, chords / _NEARLY_STRAIGHT), _PIECES)
+    cable, apart = _cable_points(plan, position)
     reach = vehicles.radius + vehicles.tracking + AROUND_ROTORS
-    # Points are up to a piece apart: the middle between two is nearer than both.
-    reach += 0.5 * float(lengths.max()) / _PIECES
+    # The middle between two points is nearer than both.
+    reach += 0.5 * apart
     aside = np.hypot(
         cable[:, None, :, 0] - position[:, :, None, 0],
         cable[:, None, :, 1] - position[:, :, None, 1],

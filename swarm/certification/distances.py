@@ -12,6 +12,8 @@ from swarm.certification.cable_spans import exempt_length, exempt_lengths
 from swarm.certification.limits import inside_fence_by
 from swarm.geometry.catenary import solve_catenaries
 from swarm.geometry.distance import polyline_polyline
+from swarm.geometry.solids import obstacles_of, planes_between
+from swarm.mission import Mission
 from swarm.planning import Plan
 
 Floats = npt.NDArray[np.float64]
@@ -52,6 +54,14 @@ def segment_name(index: int) -> str:
 def vehicle_name(index: int) -> str:
     """Return the name of a vehicle, counted from 1 along the cable."""
     return f"vehicle {index + 1}"
+
+
+def beside_obstacles(
+    mission: Mission, name: Callable[[int], str], count: int
+) -> list[tuple[str, str]]:
+    """Return the names of each of the first objects of a kind and each obstacle."""
+    obstacles = [f"obstacle {obstacle.name}" for obstacle in mission.workspace.obstacles]
+    return [(name(i), obstacle) for i in range(count) for obstacle in obstacles]
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,6 +228,28 @@ def closest_to_fence(samples: Samples) -> Tightest | None:
         return None
     sides = np.array(fence)
     return _smallest_of_strands(samples, lambda lines: inside_fence_by(lines, sides), "the fence")
+
+
+def closest_to_obstacles(samples: Samples) -> Tightest | None:
+    """Return the smallest distance of the cable from an obstacle, negative inside, or None."""
+    mission, solids = samples.plan.mission, obstacles_of(samples.plan.mission)
+
+    def measured(some: Samples) -> tuple[float, int, int]:
+        strands = some.strands
+        chords = np.stack([strands[:, :, :-1], strands[:, :, 1:]], axis=-2)
+        shape, ends = chords.shape[:3], chords.reshape(-1, 2, 3)
+        apart = np.empty((*shape[:2], len(solids)))
+        for k, solid in enumerate(solids):
+            normal, wall = planes_between(np.tile(solid, (len(ends), 1)), ends)
+            beside = np.einsum("bki,bi->bk", ends, normal).min(axis=1) - wall
+            apart[:, :, k] = beside.reshape(shape).min(axis=2)
+        every = apart.reshape(len(apart), -1)
+        instant, pair = np.unravel_index(np.argmin(every), every.shape)
+        return float(every[instant, pair]), int(instant), int(pair)
+
+    names = beside_obstacles(mission, segment_name, samples.plan.vehicles - 1)
+    radius = 0.5 * mission.cable.diameter
+    return samples.closest(measured, names, mission.clearance.obstacle, radius, least=-np.inf)
 
 
 def _smallest_of_strands(

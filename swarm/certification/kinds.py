@@ -33,11 +33,13 @@ from swarm.certification.cable_spans import (
 from swarm.certification.distances import (
     Samples,
     Tightest,
+    beside_obstacles,
     closest_neighbours,
     closest_rotor_disc,
     closest_segments,
     closest_to_fence,
     closest_to_floor,
+    closest_to_obstacles,
     closest_vehicle_and_segment,
     closest_vehicles,
     segment_name,
@@ -46,11 +48,13 @@ from swarm.certification.distances import (
 from swarm.certification.far_apart import FarPairs, FarVehicles
 from swarm.certification.limits import (
     above_floor,
+    beside_solids,
     chords_within,
     derivative_limit,
     height_limit,
     inside_fence,
     inside_fence_in_wind,
+    vehicles_beside_solids,
 )
 from swarm.certification.minima import TOLERANCE, Intervals, boxes_of, failing, roots
 from swarm.certification.motion_bounds import BoundedMotion
@@ -58,6 +62,7 @@ from swarm.certification.on_the_floor import (
     BELOW,
     beside_rotors,
     drawn_out,
+    reach_beside_solids,
     reach_of_segments,
     reach_of_vehicles,
     straight_down,
@@ -72,11 +77,13 @@ from swarm.certification.team_margins import (
     FENCE,
     FLOOR,
     NEIGHBOURS,
+    OBSTACLES,
     STRANDS,
     VEHICLES,
 )
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.motion import straight_between
+from swarm.geometry.solids import grown, obstacles_of
 from swarm.mission import Mission
 from swarm.planning import Plan
 from swarm.planning.phase_motion import usable_acceleration
@@ -491,6 +498,37 @@ def _segments_inside(case: Case) -> Family | None:
     return case.family(names, inside_fence(case.motion, cable.tracking, fence, ends, reach))
 
 
+def _beside(count: int, solids: Floats) -> Ints:
+    """Return the pairs (q, 2) of each of the first objects and a solid."""
+    return np.stack(np.divmod(np.arange(count * len(solids)), max(len(solids), 1)), axis=1)
+
+
+def _vehicles_beside_obstacles(case: Case) -> Family:
+    vehicles, solids = case.mission.vehicles, obstacles_of(case.mission)
+    evaluate = vehicles_beside_solids(
+        case.motion, case.cable.tracking, grown(solids, vehicles.radius, vehicles.grip_offset),
+        _beside(case.plan.vehicles, solids), case.required,
+    )  # fmt: skip
+    return case.family(beside_obstacles(case.mission, vehicle_name, case.plan.vehicles), evaluate)
+
+
+def _segments_beside_obstacles(case: Case) -> Family:
+    cable, solids, count = case.cable, obstacles_of(case.mission), case.plan.vehicles - 1
+    diameter, pairs = case.mission.cable.diameter, _beside(count, solids)
+    return case.family(
+        beside_obstacles(case.mission, segment_name, count),
+        beside_solids(cable, solids, pairs, diameter, case.required),
+        (*cable.tilts, *_STRAND),
+    )
+
+
+def _reach_beside_obstacles(case: Case) -> Family:
+    solids, count = obstacles_of(case.mission), case.plan.vehicles - 1
+    required = case.required + 0.5 * case.mission.cable.diameter
+    evaluate = reach_beside_solids(case.cable, solids, _beside(count, solids), required)
+    return case.family(beside_obstacles(case.mission, segment_name, count), evaluate)
+
+
 def _speed(case: Case) -> Family:
     evaluate = derivative_limit(case.motion, case.mission.vehicles.max_speed, 1)
     return case.family(case.vehicles(""), evaluate, tolerance=_LIMIT_TOLERANCE)
@@ -515,8 +553,15 @@ def _vehicle_cable(mission: Mission) -> float:
     return mission.clearance.vehicle_cable
 
 
+def _obstacle(mission: Mission) -> float:
+    return mission.clearance.obstacle
+
+
 _COARSE: Final = "a record times setpoints to ms: too coarse beside limits that plans reach"
 _BEYOND: Final = "{short:.3f} m beyond {other}: {one}{errors}"
+_TOO_NEAR: Final = (
+    "{short:.3f} m too near {other}: {one}{errors}; move it, or the mission's origin away from it"
+)
 
 KINDS: Final = (
     Kind(
@@ -617,6 +662,22 @@ KINDS: Final = (
         "fence", "a segment and the fence", "inside", "held", _segments_inside, wind=True,
         swing=True, place=FENCE, failure=_BEYOND, flown="cable_fence", words="cable to fence",
         measured=closest_to_fence,
+    ),
+    Kind(
+        "obstacle", "a vehicle, upright, and an obstacle", "`clearance.obstacle`", "always",
+        _vehicles_beside_obstacles, _obstacle, place=OBSTACLES, listed=True, failure=_TOO_NEAR,
+        flown="vehicle_obstacle", words="vehicle to obstacle",
+    ),
+    Kind(
+        "obstacle", "a segment and an obstacle", "`clearance.obstacle`", "hanging",
+        _segments_beside_obstacles, _obstacle, wind=True, swing=True, place=OBSTACLES, listed=True,
+        failure=_TOO_NEAR, flown="cable_obstacle", words="cable to obstacle",
+        measured=closest_to_obstacles,
+    ),
+    Kind(
+        "obstacle", "the reach of a segment and an obstacle", "`clearance.obstacle`", "low",
+        _reach_beside_obstacles, _obstacle, listed=True, failure=_TOO_NEAR,
+        flown="obstacle_reach", words="reach to obstacle",
     ),
     Kind(
         "speed", "speed", "`vehicles.max_speed`", "pieces", _speed,

@@ -42,7 +42,7 @@ from swarm.certification.strand_pieces import (
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.distance import Vector, difference, dot, moved, segment_distance, unit
 from swarm.geometry.sensitivity import BOTH_ENDS
-from swarm.geometry.solids import half_space, plane_between, rows
+from swarm.geometry.solids import distances, half_space, plane_between, rows
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, Ints2, contiguous
 
@@ -100,6 +100,24 @@ def beside_solids(
         return found
 
     return evaluate
+
+
+def vehicles_beside_solids(
+    motion: BoundedMotion, tracking: float, solids: Floats, pairs: Ints, required: float
+) -> Evaluator:
+    """Bound the distances of grip points from convex solids (m, 12), less the required distance.
+
+    ``pairs`` (q, 2) of a vehicle and a solid, :func:`swarm.geometry.solids.grown` by the vehicle.
+    """
+
+    def margin(team: TeamStates, instant: Ints, group: Ints) -> tuple[Floats, Floats, Floats]:
+        vehicle, solid = pairs[group].T
+        place = team.position[instant, vehicle]
+        # A distance changes by at most a metre per metre.
+        moved = team.drift(instant, vehicle, np.zeros_like(place))
+        return distances(solids[solid], place) - tracking - required, moved, place
+
+    return over_time(motion, margin)
 
 
 def height_limit(motion: BoundedMotion, height: float, sign: float) -> Evaluator:

@@ -14,6 +14,7 @@ from swarm.certification.branch_and_bound import Boxes, Enclosure, Evaluator
 from swarm.certification.motion_bounds import BoundedMotion, TeamStates, over_time
 from swarm.certification.strand_pieces import HeldCable
 from swarm.geometry.distance import norms, point_segment, segment_segment
+from swarm.geometry.solids import planes_between
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -148,6 +149,31 @@ def reach_of_vehicles(cable: HeldCable, pairs: Ints, height: float, required: fl
         return high, drift + team.deviation[instant, vehicle], grip
 
     return over_time(cable.motion, margin)
+
+
+def reach_beside_solids(
+    cable: HeldCable, solids: Floats, pairs: Ints, required: float
+) -> Evaluator:
+    """Bound the distances of the ellipsoids of segments from convex solids (m, 12).
+
+    Less the required distance of the segments' middles; ``pairs`` (q, 2) of a segment and a solid.
+    """
+
+    def evaluate(boxes: Boxes) -> Enclosure:
+        time, half, instant = boxes.instants()
+        team = TeamStates.at(cable.motion, time, half)
+        segment, solid = pairs[boxes.group].T
+        ends, rest = _ends(team, instant, segment), np.zeros((len(segment), 3))
+        normal, wall = planes_between(solids[solid], ends)
+        lengths = cable.lengths[segment] + 2.0 * cable.tracking
+        drift = np.maximum(*(team.drift(instant, k, rest) for k in (segment, segment + 1)))
+        middle = ends.mean(axis=1)
+        beside = np.einsum("bi,bi->b", middle, normal) - wall - required
+        low = beside - _half_width(normal, ends, lengths + 2.0 * drift)
+        high = beside - _half_width(normal, ends, lengths)
+        return Enclosure(low, high, (high - low)[:, None], middle)
+
+    return evaluate
 
 
 def _gap(normal: Floats, first: tuple[Floats, Floats], second: tuple[Floats, Floats]) -> Floats:

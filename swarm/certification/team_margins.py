@@ -22,7 +22,7 @@ from swarm.geometry.catenary import (
     sample_strand,
     solve_catenary,
 )
-from swarm.geometry.distance import Vector, point_distance, segment_distance
+from swarm.geometry.distance import Vector, dot, point_distance, segment_distance
 from swarm.geometry.sensitivity import (
     BOTH_ENDS,
     FAR_END,
@@ -35,6 +35,7 @@ from swarm.geometry.sensitivity import (
     movement_bound,
     sensitivity_tables,
 )
+from swarm.geometry.solids import grown, obstacles_of, plane_beside, plane_between
 from swarm.jit import inner
 from swarm.planning import Plan
 from swarm.signatures import Floats1, Floats2, Floats3, contiguous
@@ -95,9 +96,9 @@ def body_box_distance(
     return float(np.sqrt(square))
 
 
-VEHICLES, CEILING, FENCE, CHORDS, STRANDS, NEIGHBOURS, BODIES, DISCS, FLOOR = range(9)
+VEHICLES, CEILING, FENCE, CHORDS, STRANDS, NEIGHBOURS, BODIES, DISCS, FLOOR, OBSTACLES = range(10)
 """Kinds of clearances: places in arrays of margins, which the rows of the table name."""
-PLACES = FLOOR + 1
+PLACES = OBSTACLES + 1
 """Number of places."""
 
 _PIECES, _BLOCK = 16, 4
@@ -113,8 +114,9 @@ class Required(NamedTuple):
     vehicles and cable extend to the side. ``chord`` (n − 1,): the longest chords. ``strands``: of
     the middles of strands, of neighbours outside the parts (n − 2, 2) that are ``exempt``.
     ``bodies`` and ``discs``: of the middles of strands from the bodies of other vehicles, and from
-    the rotor discs of their own. ``floor``: the least height of strands' middles. ``lengths``
-    (n − 1,) are those of the segments; ``sensitivity`` has their response to their ends.
+    the rotor discs of their own. ``floor``: the least height of strands' middles. ``obstacle``:
+    from ``obstacles`` (m, 12), which are also ``grown`` by a vehicle's body. ``lengths`` (n − 1,)
+    are those of the segments; ``sensitivity`` has their response to their ends.
     """
 
     horizontal: float
@@ -130,6 +132,9 @@ class Required(NamedTuple):
     discs: float
     body: Body
     floor: float
+    obstacle: float
+    obstacles: Floats2
+    grown: Floats2
     lengths: Floats1
     sensitivity: Sensitivity
 
@@ -139,6 +144,7 @@ def required_of(plan: Plan) -> Required:
     mission, lengths = plan.mission, contiguous(plan.layout.lengths)
     clearance, vehicles, thin = mission.clearance, mission.vehicles, 0.5 * mission.cable.diameter
     near = exempt_lengths(lengths, exempt_length(plan))
+    obstacles = obstacles_of(mission)
     fence = np.empty((0, 2)) if mission.workspace.fence is None else mission.workspace.fence
     return Required(
         horizontal=clearance.vehicle,
@@ -154,6 +160,9 @@ def required_of(plan: Plan) -> Required:
         discs=thin,
         body=Body(vehicles.radius, vehicles.grip_offset),
         floor=clearance.floor + thin,
+        obstacle=clearance.obstacle,
+        obstacles=obstacles,
+        grown=grown(obstacles, vehicles.radius, vehicles.grip_offset),
         lengths=lengths,
         sensitivity=sensitivity_tables(),
     )
@@ -229,7 +238,7 @@ def vehicle_margins(
 ) -> None:
     """Write lower bounds of the smallest margins of vehicles (PLACES,), and margins ``here``.
 
-    Of vehicles with each other, below the ceiling, and within the fence.
+    Of vehicles with each other, below the ceiling, within the fence, and beside obstacles.
     """
     for kind in range(PLACES):
         low[kind] = here[kind] = asked.enough
@@ -248,6 +257,10 @@ def vehicle_margins(
             if len(required.sides):
                 inside = inside_by(position[i], position[i], required.sides, team.scratch)
                 _lower(FENCE, inside - required.radius, moved, low, here)
+            grip = position[i, 0], position[i, 1], position[i, 2]
+            for solid in required.grown:
+                apart = plane_beside(solid, grip)[1]
+                _lower(OBSTACLES, apart - required.obstacle, moved, low, here)
 
 
 @inner
@@ -268,12 +281,7 @@ def cable_margins(
             return
         own = asked.who in (-1, i, i + 1)
         if own:
-            _above_floor(i, half, team, required, strands, low, here)
-            if len(required.sides):
-                inside = inside_by(position[i], position[i + 1], required.sides, team.scratch)
-                _rest(team)
-                moved = _end_movement(half, team, i)
-                _lower(FENCE, inside - required.thin, moved, low, here)
+            _in_workspace(i, half, team, required, strands, low, here)
         first, last = (0, count + 1) if own else (asked.who, asked.who + 1)
         for k in range(first, last):
             if min(low[BODIES], low[DISCS]) >= asked.found:
@@ -587,6 +595,46 @@ def _above_floor(
     for p in range(_PIECES):
         lowest = min(strands.points[i, p, 2], strands.points[i, p + 1, 2])
         _lower(FLOOR, lowest - required.floor, off[p], low, here)
+
+
+@inner
+def _in_workspace(
+    i: int, half: Vector, team: Team, required: Required, strands: Strands,
+    low: Floats, here: Floats,
+) -> None:  # fmt: skip
+    """Lower the margins to those of a strand above the floor, in the fence, beside obstacles."""
+    _above_floor(i, half, team, required, strands, low, here)
+    if len(required.sides):
+        start, end = team.position[i], team.position[i + 1]
+        inside = inside_by(start, end, required.sides, team.scratch)
+        _rest(team)
+        moved = _end_movement(half, team, i)
+        _lower(FENCE, inside - required.thin, moved, low, here)
+    for solid in required.obstacles:
+        _beside_obstacle(i, solid, half, team, required, strands, low, here)
+
+
+@inner
+def _beside_obstacle(
+    i: int, solid: Floats, half: Vector, team: Team, required: Required, strands: Strands,
+    low: Floats, here: Floats,
+) -> None:  # fmt: skip
+    """Lower the margins to that of a strand beside a convex solid."""
+    _rest(team)
+    moved, apart = _end_movement(half, team, i), required.obstacle + required.thin
+    start, end, points = team.position[i], team.position[i + 1], strands.points[i]
+    middle = 0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1]), 0.5 * (start[2] + end[2])
+    # All of a strand is within half of its length of the middle between its ends.
+    reach = 0.5 * required.lengths[i] + moved + strands.stray[i]
+    if plane_beside(solid, middle)[1] - reach >= low[OBSTACLES] + apart:
+        return
+    _deviations(i, BOTH_ENDS, moved, team, required, strands, strands.off[0])
+    for p in range(_PIECES):
+        near = points[p, 0], points[p, 1], points[p, 2]
+        far = points[p + 1, 0], points[p + 1, 1], points[p + 1, 2]
+        _, normal, wall = plane_between(solid, near, far)
+        beside = min(dot(normal, near), dot(normal, far)) - wall
+        _lower(OBSTACLES, beside - apart, strands.off[0, p], low, here)
 
 
 @inner

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.contingency_windows import UP, clear_below
 from swarm.geometry.motion import Motion, leg
+from swarm.geometry.solids import grown, obstacles_of, planes_between
 from swarm.mission import Mission
 from swarm.planning import Plan
 
@@ -20,10 +22,10 @@ Flags = npt.NDArray[np.bool_]
 
 STEP = 0.5
 """Seconds of mission time between the computed moments; vehicles move by about 1 m meanwhile."""
-UP = 1.0
-"""Metres by which the team climbs while it separates."""
 MOST_SPREAD = 4.0
 """Largest ratio of distances after and before a separation: limits the area that is flown over."""
+_SPREADS = 13
+"""Spreads that are tried, down to 1, where obstacles are in the way: a twelfth of the way apart."""
 SHARE_OF_SPEED = 0.5
 """Share of the vehicles' largest speed and acceleration that a separation uses."""
 
@@ -85,13 +87,28 @@ def spread_here(start: Floats, mission: Mission) -> float:
 def separation_motion(start: Floats, centre: Floats, spread: float, mission: Mission) -> Motion:
     """Return the motion (n vehicles) from rest at ``start`` (n, 3) apart and up, ENU metres.
 
-    ``centre`` (3,) is the position of the failed vehicle, from which all others move away.
+    ``centre`` (3,) is the position of the failed vehicle, from which all others move away: by less
+    than ``spread`` where an obstacle is in the way or below.
     """
-    end = centre + (start - centre) * spread
-    end[:, 2] = start[:, 2] + UP
+    for tried in np.linspace(spread, 1.0, _SPREADS):
+        end = centre + (start - centre) * tried
+        end[:, 2] = start[:, 2] + UP
+        if _clear(start, end, mission):
+            break
     vehicles = mission.vehicles
     thrust = vehicles.max_acceleration - vehicles.braking_acceleration
     return leg(start, end, SHARE_OF_SPEED * vehicles.max_speed, SHARE_OF_SPEED * thrust)
+
+
+def _clear(start: Floats, end: Floats, mission: Mission) -> bool:
+    """Return whether straight ways (n, 3), and the descents after them, keep clear of obstacles."""
+    vehicles = mission.vehicles
+    solids = grown(obstacles_of(mission), vehicles.radius, vehicles.grip_offset)
+    ways = np.repeat(np.stack([start, end], axis=1), len(solids), axis=0)
+    normal, wall = planes_between(np.tile(solids, (len(start), 1)), ways)
+    apart = np.einsum("bki,bi->bk", ways, normal).min(axis=1) - wall
+    beside = np.all(apart >= mission.clearance.obstacle + vehicles.tracking)
+    return bool(beside and clear_below(mission, end[None])[0])
 
 
 def _smallest_distances(horizontal: Floats, others: Flags) -> Floats:

@@ -15,6 +15,8 @@ import numpy.typing as npt
 
 from swarm.geometry.distance import Vector, difference, dot, moved
 from swarm.jit import compiled, inner
+from swarm.mission import Mission
+from swarm.mission.mission import BoxObstacle, CylinderObstacle, HalfSpaceObstacle, Obstacle
 from swarm.signatures import Floats1, Floats2, contiguous
 
 Floats = npt.NDArray[np.float64]
@@ -67,6 +69,22 @@ def half_space(point: Vector, normal: Vector) -> Solid:
     return Solid(0.0, 0.0, 1.0, 0.0, np.inf, np.inf, 0.0, x, y, z, -np.inf, high)
 
 
+def solid_of(obstacle: Obstacle) -> Solid:
+    """Return an obstacle of a mission as a solid."""
+    match obstacle:
+        case BoxObstacle(centre=centre, size=size, turn=turn, bottom=low, top=high):
+            return upright_box(centre, size, math.radians(turn), low, high)
+        case CylinderObstacle(centre=centre, radius=radius, bottom=low, top=high):
+            return upright_cylinder(centre, radius, low, high)
+        case HalfSpaceObstacle(point=point, normal=normal):
+            return half_space(point, normal)
+
+
+def obstacles_of(mission: Mission) -> Floats2:
+    """Return the obstacles of a mission for compiled code, (m, 12)."""
+    return rows([solid_of(obstacle) for obstacle in mission.workspace.obstacles])
+
+
 def rows(solids: Sequence[Solid]) -> Floats2:
     """Return solids for compiled code, (m, 12)."""
     return np.array(solids, dtype=np.float64).reshape(-1, len(Solid._fields))
@@ -86,11 +104,17 @@ def grown(solids: Floats, radius: float, height: float) -> Floats2:
 
 
 def distances(solids: Floats, points: Floats) -> Floats:
-    """Return the distances (…, m) of points (…, 3) from solids (m, 12); negative inside."""
-    places = contiguous(np.asarray(points, dtype=np.float64).reshape(-1, 3))
-    found = np.empty((len(places), len(solids)))
-    _write_distances(contiguous(np.asarray(solids)), places, found)
-    return found.reshape(*np.shape(points)[:-1], len(solids))
+    """Return the distances (…,) of points (…, 3) from solids (…, 12); negative inside."""
+    shape = np.broadcast_shapes(solids.shape[:-1], points.shape[:-1])
+    found = np.empty(shape)
+    _write_distances(_table(solids, shape), _table(points, shape), found.reshape(-1))
+    return found
+
+
+def _table(values: Floats, shape: tuple[int, ...]) -> Floats2:
+    """Return rows for compiled code, as many as a shape has places."""
+    width = values.shape[-1]
+    return contiguous(np.broadcast_to(values, (*shape, width)).reshape(-1, width))
 
 
 def planes_between(solids: Floats, chords: Floats) -> tuple[Floats, Floats]:
@@ -98,18 +122,15 @@ def planes_between(solids: Floats, chords: Floats) -> tuple[Floats, Floats]:
 
     The normals (b, 3) of the planes, and where they are along them (b,).
     """
-    ends = contiguous(np.asarray(chords, dtype=np.float64).reshape(-1, 6))
-    found = np.empty((len(ends), 4))
-    _write_planes(contiguous(solids), ends, found)
+    found = np.empty((len(chords), 4))
+    _write_planes(contiguous(solids), contiguous(chords.reshape(-1, 6)), found)
     return found[:, :3], found[:, 3]
 
 
 @compiled
-def _write_distances(solids: Floats2, points: Floats2, found: Floats2) -> None:
+def _write_distances(solids: Floats2, points: Floats2, found: Floats1) -> None:
     for k in range(len(points)):
-        point = points[k, 0], points[k, 1], points[k, 2]
-        for m in range(len(solids)):
-            found[k, m] = plane_beside(solids[m], point)[1]
+        found[k] = plane_beside(solids[k], (points[k, 0], points[k, 1], points[k, 2]))[1]
 
 
 @compiled

@@ -9,7 +9,14 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, StringConstraints, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    StringConstraints,
+    model_serializer,
+    model_validator,
+)
 
 from swarm.errors import InputError, Problem
 from swarm.mission.validation import Section, apply_overrides, number, read_model, validate
@@ -345,6 +352,9 @@ class Clearance(Section):
     floor: Number = _length(
         0.5, "Distance between the cable aloft and the floor.", least=0, most=100.0
     )
+    obstacle: Number = _length(
+        0.2, "Distance of vehicles and cable from obstacles.", above=0, most=50.0
+    )
 
 
 class Limits(Section):
@@ -380,6 +390,68 @@ class Wind(Section):
     )
 
 
+class _Obstacle(Section):
+    name: Annotated[Text, StringConstraints(max_length=60)] = Field(
+        description="Name of the obstacle in messages and pictures.", examples=["table"]
+    )
+
+
+class _Upright(_Obstacle):
+    bottom: Number = _length(
+        0.0, "Height of its lower side above the floor.", least=0, most=5_000.0
+    )
+    top: Number = _length(..., "Height of its upper side above the floor.", above=0, most=5_000.0)
+
+    @model_validator(mode="after")
+    def _upwards(self) -> Self:
+        if self.top <= self.bottom:
+            raise ValueError(f"expected top > bottom, got {self.top:g} and {self.bottom:g}")
+        return self
+
+
+class BoxObstacle(_Upright):
+    """An upright box: a table, a wall, the beam of a truss."""
+
+    shape: Literal["box"] = Field(description="Its shape.", examples=["box"])
+    centre: Point2 = Field(description="Its centre x, y in metres (x east, y north).")
+    size: tuple[Positive, Positive] = Field(
+        description="Its width along x and its depth along y in metres, before it is turned."
+    )
+    turn: Number = number(
+        0.0, "degrees", "Angle by which it is turned to the left, seen from above.",
+        least=-360, most=360, kind="an angle",
+    )  # fmt: skip
+
+
+class CylinderObstacle(_Upright):
+    """An upright cylinder: a pillar, a tree."""
+
+    shape: Literal["cylinder"] = Field(description="Its shape.")
+    centre: Point2 = Field(description="Its axis x, y in metres (x east, y north).")
+    radius: Number = _length(..., "Its radius.", above=0, most=_LARGEST_SIZE)
+
+
+class HalfSpaceObstacle(_Obstacle):
+    """All behind a plane: a net, a wall, a roof."""
+
+    shape: Literal["half-space"] = Field(description="Its shape.")
+    point: Point3 = Field(description="A point x, y, z of the plane in metres.")
+    normal: Point3 = Field(
+        description="Direction x, y, z from the plane to the free side, of any length."
+    )
+
+    @model_validator(mode="after")
+    def _directed(self) -> Self:
+        if not any(self.normal):
+            raise ValueError("expected a normal that is not 0, 0, 0")
+        return self
+
+
+Obstacle = Annotated[
+    BoxObstacle | CylinderObstacle | HalfSpaceObstacle, Field(discriminator="shape")
+]
+
+
 class Workspace(Section):
     """The space in which the team may fly."""
 
@@ -389,11 +461,25 @@ class Workspace(Section):
     fence: tuple[Point2, ...] | None = Field(
         None, description="Corners x, y of the geofence in metres (x east, y north)."
     )
+    obstacles: tuple[Obstacle, ...] = Field(
+        (),
+        description="What stands in this space, such as nets, trusses and tables: vehicles and "
+        "cable keep `clearance.obstacle` from it.",
+        max_length=200,
+    )
 
     @model_validator(mode="after")
     def _polygon(self) -> Self:
         if self.fence is not None and len(self.fence) < 3:
             raise ValueError(f"expected a fence of at least 3 corners, got {len(self.fence)}")
+        return self
+
+    @model_validator(mode="after")
+    def _named_once(self) -> Self:
+        names = [obstacle.name for obstacle in self.obstacles]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"expected a name of its own for each obstacle, got {twice[0]} twice")
         return self
 
 
@@ -508,6 +594,18 @@ class Mission(Section):
         "flight backwards, to the cable on the floor; tighten: the inner vehicles release, the two "
         "at the ends pull; hold: a common descent, release on the floor.",
     )
+
+    @model_serializer(mode="wrap")
+    def _without_obstacles(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave the keys of obstacles out where there are none: such missions stay what they were.
+
+        Digests, plan files and records have all other keys, with their defaults.
+        """
+        document: dict[str, Any] = serialize(self)
+        if not self.workspace.obstacles:
+            for section, key in (("workspace", "obstacles"), ("clearance", "obstacle")):
+                document.get(section, {}).pop(key, None)
+        return document
 
     @classmethod
     def for_knot(

@@ -15,6 +15,7 @@ from swarm.flight.snapshot import Snapshot
 from swarm.flight.trace import Trace
 from swarm.geometry.catenary import MAX_CHORD_RATIO, solve_catenaries
 from swarm.geometry.distance import strand_strand
+from swarm.geometry.solids import Solid, solid_of
 from swarm.planning import KnotLayout, Plan
 from swarm.planning.cable_shape import laid_grip_points, planned_grip
 
@@ -25,6 +26,11 @@ POINTS_PER_SEGMENT: Final = 25
 
 SAMPLE_INTERVAL: Final = 0.5
 """Seconds between two sampled distances of strands; the certificate bounds them at every moment."""
+
+AROUND: Final = 3.0
+"""Metres around the flight in which planes of obstacles are drawn: about a segment's length."""
+ROUND: Final = 24
+"""Corners by which a cylinder is drawn."""
 
 SILENT_AFTER: Final = 2.0
 """Seconds without a packet after which a vehicle is drawn as silent."""
@@ -217,20 +223,64 @@ def crossings(layout: KnotLayout) -> list[Crossing]:
 def workspace_lines(plan: Plan) -> dict[str, list[Floats]]:
     """Return what bounds the workspace as line strips (k, 3), by name; metres.
 
-    The geofence: on the floor, at the ceiling, and its posts.
+    The geofence: on the floor, at the ceiling, and its posts; the edges of obstacles, and planes as
+    far as they are within AROUND of the flight.
     """
     workspace = plan.mission.workspace
     lines = {}
     if workspace.fence is not None:
         lines["fence"] = _prism_lines(np.array(workspace.fence), 0.0, workspace.ceiling)
-    return lines
+    for obstacle in workspace.obstacles:
+        lines[f"obstacle {obstacle.name}"] = _obstacle_lines(plan, solid_of(obstacle))
+    return {name: strips for name, strips in lines.items() if strips}
 
 
-def _prism_lines(corners: Floats, low: float, high: float) -> list[Floats]:
-    """Return the edges of a prism over a polygon (k, 2): both rings, then those upright."""
+def _obstacle_lines(plan: Plan, solid: Solid) -> list[Floats]:
+    if np.isinf(solid.half_x):
+        places = plan.motion.at(plan.motion.times)[0].reshape(-1, 3)
+        normal = np.array([solid.normal_x, solid.normal_y, solid.normal_z])
+        low, high = places.min(axis=0) - AROUND, places.max(axis=0) + AROUND
+        return _plane_lines(normal, solid.high, low * [1.0, 1.0, 0.0], high)
+    angle = 2.0 * np.pi * np.arange(0.5, ROUND) / ROUND
+    # the corners of a box are its quarters of a circle without a radius
+    side = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    local = np.sign(side) * [solid.half_x, solid.half_y] + solid.radius * side
+    sides = ROUND // 4
+    local = local if solid.radius > 0.0 else local[::sides]
+    turned = np.array([[solid.cosine, solid.sine], [-solid.sine, solid.cosine]])
+    corners = local @ turned + [solid.x, solid.y]
+    return _prism_lines(corners, solid.low, solid.high, sides if solid.radius > 0.0 else 1)
+
+
+def _plane_lines(normal: Floats, height: float, low: Floats, high: Floats) -> list[Floats]:
+    """Return the border of the part of a plane p·n = ``height`` that is in a box; none outside."""
+    across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    across /= np.linalg.norm(across)
+    axes = np.stack([across, np.cross(normal, across)])
+    middle = 0.5 * (low + high)
+    middle += (height - middle @ normal) * normal
+    ring = (
+        middle + np.linalg.norm(high - low) * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) @ axes
+    )
+    for axis in range(3):
+        for sign, bound in ((1.0, high[axis]), (-1.0, -low[axis])):
+            beyond = sign * ring[:, axis] - bound
+            kept = []
+            for k in range(len(ring)):
+                here, there = beyond[k - 1], beyond[k]
+                if here * there < 0.0:
+                    kept.append(ring[k - 1] + here / (here - there) * (ring[k] - ring[k - 1]))
+                if there <= 0.0:
+                    kept.append(ring[k])
+            ring = np.array(kept).reshape(-1, 3)
+    return [np.vstack([ring, ring[:1]])] if len(ring) else []
+
+
+def _prism_lines(corners: Floats, low: float, high: float, every: int = 1) -> list[Floats]:
+    """Return the edges of a prism over a polygon (k, 2): both rings, then ``every`` upright one."""
     ring = np.vstack([corners, corners[:1]])
     rings = [np.column_stack([ring, np.full(len(ring), height)]) for height in (low, high)]
-    return rings + [np.array([[*corner, low], [*corner, high]]) for corner in corners]
+    return rings + [np.array([[*corner, low], [*corner, high]]) for corner in corners[::every]]
 
 
 def thrust_quaternions(acceleration: Floats) -> Floats:

@@ -20,6 +20,7 @@ from swarm.certification.team_margins import PLACES
 from swarm.folding.penalty import no_extra_margins
 from swarm.geometry.chain import polyline
 from swarm.geometry.motion import Motion
+from swarm.mission.mission import CylinderObstacle
 from swarm.planning import Plan
 from tests.certification.synthetic import moving, plan_of
 from tests.overhand import planned_overhand
@@ -27,6 +28,9 @@ from tests.overhand import planned_overhand
 LIVE = {kind.place: kind.check for kind in KINDS if kind.place is not None}
 NAMES = [LIVE[place] for place in sorted(LIVE)]
 SAMPLES = 160
+POST = (
+    "workspace.obstacles=[{name: post, shape: cylinder, centre: [-2.2, 3], radius: 0.3, top: 20}]"
+)
 FENCE = "workspace.fence=[[-4,-4],[8,-4],[8,8],[2,8],[2,5],[-4,5]]"
 
 
@@ -45,6 +49,7 @@ def brute(plan: Plan, grips: np.ndarray) -> dict[str, float]:
     for i in range(n):
         count("ceiling", mission.workspace.ceiling - vehicles.grip_offset - grips[i, 2])
         count("fence", inside(grips[i, :2], mission.workspace.fence) - vehicles.radius)
+        count("obstacle", from_post(grips[i]) - vehicles.radius - clearance.obstacle)
         for j in range(i):
             x, y, z = np.abs(grips[i] - grips[j])
             count(
@@ -60,6 +65,7 @@ def brute(plan: Plan, grips: np.ndarray) -> dict[str, float]:
     for i, strand in enumerate(strands):
         count("taut", 0.985 * lengths[i] - np.linalg.norm(grips[i + 1] - grips[i]))
         count("floor", strand[:, 2].min() - thin - clearance.floor)
+        count("obstacle", from_post(strand).min() - thin - clearance.obstacle)
         for point in strand[::8]:
             count("fence", inside(point[:2], mission.workspace.fence) - thin)
         for j in range(i + 1, n - 1):
@@ -88,6 +94,11 @@ def inside(point: np.ndarray, fence: list[list[float]] | None) -> float:
         if (one[1] > point[1]) != (other[1] > point[1]):
             within ^= point[0] < one[0] + (point[1] - one[1]) / step[1] * step[0]
     return apart if within else -apart
+
+
+def from_post(points: np.ndarray) -> np.ndarray:
+    """Distance of points (…, 3) from the post, which is higher than all of them."""
+    return np.hypot(points[..., 0] + 2.2, points[..., 1] - 3.0) - 0.3
 
 
 def from_cone(points: np.ndarray, radius: float, height: float, tip: float) -> float:
@@ -127,6 +138,7 @@ MOVES = {
     "vehicle-cable clearance": (BESIDE, [3.6, 3.4, 3.3, 3.3], 4, (0.0, -0.9, 0.0)),
     "rotor disc": (STEEP, [3.0, 4.0], 1, (-1.35, 0.0, 1.0)),
     "floor": (SQUARE - [0.0, 0.0, 2.6], LENGTHS, 3, (0.0, 0.0, -2.3)),
+    "obstacle": (SQUARE, LENGTHS, 3, (-1.7, 0.0, 0.0)),
 }  # fmt: skip
 """Grip points with lengths, and the step of a vehicle by which a kind falls short first."""
 
@@ -151,7 +163,7 @@ def plan_for(kind: str) -> Plan:
 
 
 def _plan(motion: Motion, lengths: list[float]) -> Plan:
-    return plan_of(motion, lengths, FENCE, "workspace.ceiling=9", "vehicles.tracking=0.05")
+    return plan_of(motion, lengths, FENCE, POST, "workspace.ceiling=9", "vehicles.tracking=0.05")
 
 
 @pytest.mark.parametrize("kind", NAMES)
@@ -206,7 +218,9 @@ def test_margins_are_those_of_dense_samples() -> None:
 def fenced(mission) -> Plan:
     plan = planned_overhand().plan
     fence = ((-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0))
-    workspace = plan.mission.workspace.model_copy(update={"fence": fence})
+    post = CylinderObstacle(name="post", shape="cylinder", centre=(0.0, 40.0), radius=1.0, top=9.0)
+    update = {"fence": fence, "obstacles": (post,)}
+    workspace = plan.mission.workspace.model_copy(update=update)
     return replace(
         plan, mission=plan.mission.model_copy(update={"workspace": workspace, **mission})
     )

@@ -91,10 +91,10 @@ def test_planes_beside_chords_bound_their_distance(turn, tall, near, far):
     For chords that come near no edge inside, the plane tells the distance, too.
     """
     solids = some_solids(turn, tall)
-    chords = np.broadcast_to(np.array([near, far]), (len(solids), 2, 3))
+    chords = np.tile(np.array([near, far]), (len(solids), 1, 1))
     normals, walls = planes_between(solids, chords)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-12)
-    true = distances(solids, np.linspace(near, far, 200)).min(axis=0)
+    true = distances(solids, np.linspace(near, far, 200)[:, None]).min(axis=0)
     reach = np.einsum("mi,mki->mk", normals, chords).min(axis=1) - walls
     assert np.all(reach <= true + 1e-9)
     step = np.linalg.norm(np.subtract(far, near))
@@ -115,7 +115,7 @@ def test_grown_solids_are_as_far_as_cylinders(turn, tall, place, radius, height)
     body = np.array(place) + np.stack([*inside, height * share], axis=1)
     ends = [np.array(place) + np.stack([*inside, np.full(3000, h)], axis=1) for h in (0.0, height)]
     axis = np.linspace(place, np.add(place, [0.0, 0.0, height]), 50)
-    nearest = distances(solids, np.concatenate([body, *ends, axis])).min(axis=0)
+    nearest = distances(solids, np.concatenate([body, *ends, axis])[:, None]).min(axis=0)
     assert np.all(found <= nearest + 1e-9)
     outside = found > 0.0
     assert np.all(nearest[outside] <= found[outside] + 0.05)
@@ -125,5 +125,5 @@ def test_distances_change_by_a_metre_per_metre_at_most():
     rng = np.random.default_rng(4)
     solids = some_solids(0.4, 1.0)
     one, other = rng.uniform(-4.0, 4.0, (2, 5000, 3))
-    change = np.abs(distances(solids, one) - distances(solids, other))
+    change = np.abs(distances(solids, one[:, None]) - distances(solids, other[:, None]))
     assert np.all(change <= np.linalg.norm(one - other, axis=1)[:, None] + 1e-12)

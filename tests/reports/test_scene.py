@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
+from swarm.mission.mission import BoxObstacle, CylinderObstacle, HalfSpaceObstacle
 from swarm.planning.cable_shape import laid_grip_points
 from swarm.reports import scene
 from tests.reports.synthetic import CROSSINGS, snapshot_at, trefoil_plan
@@ -123,6 +124,36 @@ def test_fence_has_floor_ceiling_and_posts() -> None:
     np.testing.assert_array_equal(floor[0], floor[-1])
     assert (top[:, 2] == PLAN.mission.workspace.ceiling).all()
     assert scene.workspace_lines(trefoil_plan()) == {}
+
+
+def test_obstacles_are_drawn_on_their_surfaces() -> None:
+    plan = trefoil_plan()
+    box = BoxObstacle(name="table", shape="box", centre=(3.0, 1.0), size=(2.0, 1.0), turn=30, top=1)
+    post = CylinderObstacle(
+        name="post", shape="cylinder", centre=(0, 9), radius=0.5, bottom=1, top=4
+    )
+    net = HalfSpaceObstacle(name="net", shape="half-space", point=(0, -9, 0), normal=(0, 2, -1))
+    far = HalfSpaceObstacle(name="far", shape="half-space", point=(0, -900, 0), normal=(0, 2, 0))
+    workspace = plan.mission.workspace.model_copy(update={"obstacles": (box, post, net, far)})
+    mission = plan.mission.model_copy(update={"workspace": workspace})
+    found = scene.workspace_lines(replace(plan, mission=mission))
+    assert list(found) == ["obstacle table", "obstacle post", "obstacle net"]
+    floor, top, *posts = found["obstacle table"]
+    assert (floor[:, 2].max(), top[:, 2].min(), len(posts)) == (0.0, 1.0, 4)
+    turn = np.radians(30.0)
+    local = (floor[:, :2] - [3.0, 1.0]) @ [
+        [np.cos(turn), -np.sin(turn)],
+        [np.sin(turn), np.cos(turn)],
+    ]
+    np.testing.assert_allclose(np.abs(local), np.tile([1.0, 0.5], (5, 1)))
+    assert len({tuple(np.sign(corner)) for corner in local}) == 4
+    ring, *_ = found["obstacle post"]
+    np.testing.assert_allclose(np.hypot(ring[:, 0], ring[:, 1] - 9.0), 0.5)
+    (plane,) = found["obstacle net"]
+    np.testing.assert_allclose((plane - [0, -9, 0]) @ [0, 2, -1], 0.0, atol=1e-9)
+    places = plan.motion.at(plan.motion.times)[0].reshape(-1, 3)
+    assert (plane >= [*places.min(axis=0)[:2] - scene.AROUND - 1e-9, -1e-9]).all()
+    assert (plane <= places.max(axis=0) + scene.AROUND + 1e-9).all()
 
 
 @given(st.lists(st.floats(-8, 8), min_size=3, max_size=3))
