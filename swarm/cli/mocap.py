@@ -1,4 +1,4 @@
-"""``swarm mocap``: the bridge of motion capture in a process of its own."""
+"""``swarm mocap``: the bridge of motion capture; which body is on which vehicle."""
 
 import json
 import queue
@@ -14,15 +14,18 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from swarm.cli.inputs import FILE, Address
+from swarm.cli.inputs import FILE, FOLDER, Address, print_json
 from swarm.errors import InputError, Interrupted
 from swarm.flight.bodies import PoseRow
 from swarm.front.files import load_fleet
+from swarm.ground.commissioning.identify import identification_object
+from swarm.ground.commissioning.identify import identify as identify_bodies
 from swarm.ground.mocap import parse_url
 from swarm.ground.mocap_bridge import BridgeState, serve
+from swarm.ground.record import new_check_folder
 from swarm.mission.fleet import Fleet
 from swarm.reports.mocap import bridge_object, bridge_words, poses_table
-from swarm.reports.result import drawn
+from swarm.reports.result import SEVERITIES, STYLES, drawn
 
 _LINES = 200
 """Lines that may wait for a terminal that stands still; then they are dropped."""
@@ -112,14 +115,38 @@ class Screen:
 
 
 @click.command()
-@click.argument("source", type=Address(parse_url))
+@click.argument("source", type=Address(parse_url), required=False)
 @click.option(
-    "--fleet", "fleet_file", type=FILE, required=True, help="Fleet file: vehicles and links."
+    "--fleet", "fleet_file", type=FILE, required=True, help="Fleet file: vehicles and their links."
 )
 @click.option(
-    "--json", "as_json", is_flag=True, help="Print a JSON object a second, one a line, for scripts."
+    "--identify",
+    is_flag=True,
+    help="Find bodies that are swapped, mirrored, turned, frozen, lost or flipping: asks to lift, "
+    "lean and turn one vehicle after the other, and compares it with all bodies. Without SOURCE, "
+    "with the poses of the bridge that runs.",
 )
-def mocap(source: str, fleet_file: Path, *, as_json: bool) -> None:
+@click.option(
+    "--record",
+    type=FOLDER,
+    help="With --identify: folder for the result. Default: a new folder in checks/.",
+)
+@click.option(
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="Print a JSON object a second, one a line, for scripts; with --identify, one at its end.",
+)
+@click.pass_context
+def mocap(
+    context: click.Context,
+    source: str | None,
+    fleet_file: Path,
+    record: Path | None,
+    *,
+    identify: bool,
+    as_json: bool,
+) -> None:
     """Send the poses of a motion capture system to the vehicles, until Ctrl-C.
 
     SOURCE is KIND://HOST with vicon, optitrack, qualisys, vrpn and others of libmotioncapture, or
@@ -127,16 +154,47 @@ def mocap(source: str, fleet_file: Path, *, as_json: bool) -> None:
 
     The bridge outlives the ground station: `swarm check` and `swarm fly` with the same fleet file
     find it, use its links, and send no poses themselves. While vehicles are armed, only a second
-    Ctrl-C within 5 s ends it. Exit code 1 if the poses of these vehicles are sent already, 130 at
-    its end.
+    Ctrl-C within 5 s ends it. Exit code 1 if the poses of these vehicles are sent already, or a
+    body is not as it should be; 130 after Ctrl-C.
 
     Example: swarm mocap vicon://10.0.0.5 --fleet fleet.yaml
     """
+    if record is not None and not identify:
+        raise InputError("--record needs --identify")
     fleet = _laboratory_fleet(fleet_file)
+    if identify:
+        context.exit(_identify(fleet, source, record, as_json=as_json))
+    if source is None:
+        raise click.UsageError("Missing argument 'SOURCE'.")
     screen = Screen(Console(), as_json)
     with screen.running():
         serve(fleet, source, screen.show, screen.say)
     raise Interrupted("the bridge has ended: no vehicle gets poses")
+
+
+def _identify(fleet: Fleet, source: str | None, record: Path | None, *, as_json: bool) -> int:
+    """Guide a person through the identification of all bodies; return the exit code."""
+    console = Console(stderr=as_json)
+    folder = record or new_check_folder(Path("checks"))
+
+    def say(words: str) -> None:
+        console.print(words, soft_wrap=True, highlight=False, markup=False)
+
+    with console.status("listening") as status:
+        say("Propellers off. All vehicles on the ground, and nothing else moved.")
+        identification = identify_bodies(fleet, folder, source, say, status.update)
+    result = identification_object(identification)
+    if as_json:
+        print_json(result | {"record": str(folder)})
+    else:
+        console.print()
+        for finding in identification.findings():
+            style = STYLES[SEVERITIES[finding.severity]]
+            console.print(Text(finding.message, style), soft_wrap=True)
+        words = "Every vehicle has its own body." if result["passed"] else "NOT as it should be."
+        console.print(Text(words, STYLES["good" if result["passed"] else "bad"]))
+        console.print(f"Result: {folder / 'bodies.json'}", soft_wrap=True, highlight=False)
+    return 0 if result["passed"] else 1
 
 
 def _laboratory_fleet(file: Path) -> Fleet:
