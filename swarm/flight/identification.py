@@ -36,8 +36,8 @@ LIFTED = 0.1
 """Metres by which a body shows which way is up: a hundred times the noise of a system."""
 _LIKE, _SMALLEST, _LARGEST = 0.85, 0.6, 1.6
 """The least cosine between the courses of two rotations that are one motion, and the range of the
-ratio of their sizes. A delay of 0.3 s in a motion of 3 s leaves a cosine of 0.95, another vehicle's
-motion at another time none."""
+ratio of their sizes. One motion has 1 and 1, less what noise and gaps change; motions at other
+times have a cosine near 0, since delays up to 0.4 s are taken out."""
 _FLIP = 1.0
 """Radians that a body jumps from one moment to the next, beyond its vehicle: a hand turns 0.3."""
 _ROUND = 2.5
@@ -49,8 +49,10 @@ _APART, _TILTED = math.radians(20.0), math.radians(15.0)
 _SEEN = 0.8
 """Share of the moments at which a body must be seen."""
 _AXES = ("roll", "pitch", "heading")
+# East, north, up as north, east, down.
 _NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _FRD = np.diag([1.0, -1.0, -1.0])
+"""Forward, left, up as forward, right, down."""
 
 
 def attitude_matrix(roll: float, pitch: float, yaw: float) -> Floats:
