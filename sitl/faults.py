@@ -294,6 +294,18 @@ def _barometer_drift(world: "Injector", v: Vehicle, fault: "Fault", on: bool) ->
         world.drifts.pop(v.index, None)
 
 
+@_kind("turn", injected={(_COMPASS, _WRONG): {"turn": 0.7}})
+def _heading(_: "Injector", v: Vehicle, fault: "Fault", on: bool) -> None:
+    """Let the estimator take over the heading of a disturbed compass: at once, as in its resets.
+
+    The vehicle turns back to the heading that it is to hold, and is off by as much from then on: it
+    pushes aside of where it wants to go.
+    """
+    turn = fault.turn if on else -fault.turn
+    v.bodies.heading_error[v.index] += turn
+    v.bodies.yaw[v.index] -= turn
+
+
 def _freeze_keys(p: Parameters) -> Values | None:
     """Freeze for a number of seconds: a frozen autopilot accepts no command that ends it."""
     return {"duration": p["SIM_FREEZE"]} if p["SIM_FREEZE"] > 0 else None
@@ -592,7 +604,8 @@ class Fault(BaseModel):
         default=0.6, description="radians by which a person leans the vehicle"
     )
     turn: Annotated[float, Field(ge=0.0, le=3.0)] = Field(
-        default=1.0, description="radians by which a person turns the vehicle"
+        default=1.0,
+        description="radians by which a person turns the vehicle, or by which its heading is off",
     )
 
     @model_validator(mode="after")

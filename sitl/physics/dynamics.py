@@ -144,6 +144,7 @@ class Bodies:
         self.land_time = np.full(n, 0.9)
         self.cut_time = np.full(n, 0.35)
         self.health = np.ones(n)
+        self.heading_error = np.zeros(n)
         self.outside = np.zeros(n, dtype=bool)
         self.crashed = np.zeros(n, dtype=bool)
         self.tumble = np.zeros(n)
@@ -206,7 +207,7 @@ class Bodies:
             (
                 self.drag, self.speed_limit, self.climb_limit, self.descend_limit,
                 self.max_acceleration, self.tilt_limit, self.thrust_limit, self.health,
-                self.floor + self.grip_offset, self.mass, self.radius,
+                self.floor + self.grip_offset, self.mass, self.radius, self.heading_error,
             )
         )  # fmt: skip
         self._per_mass = 1.0 / self.mass[:, None]

@@ -30,10 +30,11 @@ DISTURBANCE_COLUMNS = 7
 
 POSITION_GAIN, VELOCITY_GAIN, INTEGRAL_GAIN = 0, 3, 6
 DRAG, SPEED_LIMIT, CLIMB_LIMIT, DESCENT_LIMIT, ACCELERATION_LIMIT = range(9, 14)
-TILT_LIMIT, THRUST_LIMIT, HEALTH, STANDING_HEIGHT, MASS, RADIUS = range(14, 20)
-CONSTANTS = 20
+TILT_LIMIT, THRUST_LIMIT, HEALTH, STANDING_HEIGHT, MASS, RADIUS, HEADING_ERROR = range(14, 21)
+CONSTANTS = 21
 """Columns of ``constants`` (n, CONSTANTS): gains of three axes each, drag (1/s), limits in SI units
-(tilt as its tangent), health of the motors, height of the centre on the ground, mass, radius."""
+(tilt as its tangent), health of the motors, height of the centre on the ground, mass, radius, error
+of the known heading (radians clockwise). A thrust is that in the frame of the known heading."""
 
 _FREQUENCY, _DAMPING = 14.0, 0.9
 _IDLE = 0.08 * GRAVITY
@@ -106,6 +107,11 @@ def step(
             s[THRUST] += interval * s[THRUST_RATE]
             s[VELOCITY] += interval * (s[AIR] - own[DRAG] * s[VELOCITY] + s[THRUST] + s[EXTERNAL])
             s[POSITION] += interval * s[VELOCITY]
+        if own[HEADING_ERROR] != 0.0:
+            for k in range(2):
+                change = interval * _turned(body, own[HEADING_ERROR], k)
+                body[k, VELOCITY] += change
+                body[k, POSITION] += interval * change
 
         hard[i] = False
         if body[2, POSITION] <= own[STANDING_HEIGHT]:
@@ -113,6 +119,17 @@ def step(
             any_hard = any_hard or hard[i]
             _stand(body, own[STANDING_HEIGHT])
     return any_hard
+
+
+@inner
+def _turned(body: Array, error: float, k: int) -> float:
+    """Return what an error of the known heading adds to a thrust, along east (0) or north (1).
+
+    A vehicle that takes its heading for one farther to the right pushes farther to the left.
+    """
+    east, north = body[0, THRUST], body[1, THRUST]
+    cos, sin = math.cos(error), math.sin(error)
+    return float(east * (cos - 1.0) - north * sin if k == 0 else east * sin + north * (cos - 1.0))
 
 
 @inner
@@ -158,6 +175,8 @@ def free_motion(
         for k in range(3):
             s = body[k]
             acceleration[i, k] = s[AIR] - own[DRAG] * s[VELOCITY] + s[THRUST]
+            if k < 2 and own[HEADING_ERROR] != 0.0:
+                acceleration[i, k] += _turned(body, own[HEADING_ERROR], k)
 
 
 @compiled

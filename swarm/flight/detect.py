@@ -2,8 +2,8 @@
 
 In this order: a clock that stands still, and holds that last too long; the ground station itself;
 what vehicles report themselves (modes, arming, landing, commands, reboots, origins); silent
-vehicles; falls and position jumps; batteries and position estimates; drifting barometers; large
-tracking errors in flights that measure them. Slips of the cable are in
+vehicles; falls and position jumps; batteries and position estimates; drifting barometers; wrong
+headings; large tracking errors in flights that measure them. Slips of the cable are in
 :mod:`swarm.flight.grip_slip`.
 """
 
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from swarm.flight import estimation
 from swarm.flight.estimation import Measured
 from swarm.flight.failures import Failure, FailureKind, Finding, HoldCause, Latch, Recovery
-from swarm.flight.grip_slip import GripSlipDetector
+from swarm.flight.grip_slip import INTERVAL, GripSlipDetector
 from swarm.flight.observation import Expected, Observation
 from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.flight.router import answer_limit
@@ -218,9 +218,23 @@ class ReportDetector:
                     failure = None if known else failure
             case "rebooted":
                 failure = Failure(FailureKind.REBOOTED, f"{name} {event.message}", k)
+            case "heading" | "text warning" | "text error" if flying and k not in expected.fallen:
+                if event.kind == "heading" or _tells_of_heading(event.message):
+                    words = f"{name}: {event.message}"
+                    failure = Failure(FailureKind.HEADING_DISAGREES, words, k)
             case "origin" if k not in expected.fallen:
                 failure = Failure(FailureKind.ORIGIN_MOVED, f"{name}: {event.message}", k)
         return [] if failure is None else [failure]
+
+
+_HEADING_TEXTS = "emergency yaw reset", "compass needs calibration", "heading not reliable"
+"""Words of both firmwares' messages in flight: ArduPilot 4.6 and PX4 1.16 after the velocity by
+satellites contradicted the compass (ArduPilot resets the heading, PX4 asks to land); PX4 on a
+heading by satellites."""
+
+
+def _tells_of_heading(text: str) -> bool:
+    return any(words in text.lower() for words in _HEADING_TEXTS)
 
 
 def _left_offboard(name: str, k: int, vehicle: Vehicle, event: VehicleEvent, now: float) -> Failure:
@@ -563,6 +577,69 @@ class HeightDetector:
         return seen.height_difference - self.reference
 
 
+HEADING_OFF = 0.35
+"""Radians by which a heading must be off: 20°. That of recorded PX4 was off what it was to
+hold by 15° at most, and thrusts off motion by 4° in the emulator (docs/results/flights.md)."""
+_HEADING_TIME = 4.0
+"""Seconds in which compared thrusts are forgotten."""
+_LEAST_THRUST = 0.3
+"""Newtons, root mean square, of a horizontal thrust whose direction is compared."""
+_UNEXPLAINED = 0.3
+"""Share of the squared difference of thrusts that a turn may leave: a slip leaves all of it."""
+_UPRIGHT = 0.3
+"""Radians of tilt up to which a heading is compared: beyond, a vehicle may turn over."""
+
+
+class HeadingDetector:
+    """Detects headings that are wrong: that leave the one held since the flight began, or by which
+    a vehicle would push elsewhere than it moves; ``leaning`` has thrusts by attitude and motion.
+
+    Neighbours show the wind, which is the same for all: its part is not compared.
+    """
+
+    def __init__(self, n: int, reported: Latch, leaning: GripSlipDetector) -> None:
+        self._reported, self._leaning = reported, leaning
+        self._held: Floats = np.full(n, np.nan)
+        self._sums = np.zeros((4, n))
+        self._compared: tuple[Floats, Floats] | None = None
+
+    def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
+        """Return the vehicles whose headings are wrong."""
+        heading = seen.attitude[:, 2]
+        unknown = np.isnan(self._held)
+        self._held[unknown] = heading[unknown]
+        flies = expected.armed & expected.streaming & ~expected.may_land
+        tilt = np.abs(seen.attitude[:, :2]).max(axis=1)
+        turned = (heading - self._held + math.pi) % (2.0 * math.pi) - math.pi
+        off = np.where(flies & (tilt < _UPRIGHT), turned, 0.0)
+        findings: list[Finding] = []
+        for how, angles in (("what it is to hold", off), ("its motion", self._by_thrust())):
+            for k in np.flatnonzero(np.abs(angles) > HEADING_OFF).tolist():
+                words = f"{seen.names[k]}'s heading is {math.degrees(angles[k]):+.0f}° off {how}"
+                if k not in expected.fallen:
+                    findings += self._reported.once(FailureKind.HEADING_DISAGREES, k, words)
+        return findings
+
+    def _by_thrust(self) -> Floats:
+        """Return the angles (n,) from thrusts by motion to those by attitude, clockwise, where a
+        turn explains their differences; 0 elsewhere."""
+        if self._leaning.thrusts is self._compared:
+            return np.zeros(len(self._held))
+        self._compared = self._leaning.thrusts
+        if self._compared is None:
+            self._sums[:] = 0.0
+            return np.zeros(len(self._held))
+        (x, y), (u, v) = (thrust.T for thrust in self._compared)
+        products = np.array([x * u + y * v, x * v - y * u, x * x + y * y, u * u + v * v])
+        self._sums += (INTERVAL / _HEADING_TIME) * (products - self._sums)
+        along, across, by_attitude, by_motion = self._sums
+        differs = by_attitude + by_motion - 2.0 * along
+        unexplained = by_attitude + by_motion - 2.0 * np.hypot(along, across)
+        clear = (by_motion > _LEAST_THRUST**2) & (unexplained < _UNEXPLAINED * differs)
+        angles: Floats = np.where(clear, np.arctan2(across, along), 0.0)
+        return angles
+
+
 class TrackingDetector:
     """Detects a vehicle too far from its setpoint, or too near to another one.
 
@@ -637,6 +714,7 @@ class Detectors:
             (IN_FLIGHT, self.heights),
             (ON_PLAN, self.station),
             (ON_PLAN, self.grip_slip),
+            (IN_FLIGHT, HeadingDetector(n, reported, self.grip_slip)),
             (ON_PLAN, TrackingDetector(options.error_limit, plan.mission.clearance.vehicle)),
             (ON_PLAN, self.hold_timeout),
             (ON_PLAN, StandstillDetector(enabled=paced)),

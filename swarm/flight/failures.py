@@ -94,6 +94,7 @@ class FailureKind(StrEnum):
     FIX_LOST = "GPS fix lost", Responses(_R.RELEASE_HERE, _R.RELEASE_HERE)
     POSITION_LOST = "position lost", Responses(_R.RELEASE_HERE, _R.RELEASE_HERE)
     HEIGHT_DRIFT = "height drift", Responses(_R.LAND_HERE, _R.LAND_HERE)
+    HEADING_DISAGREES = "heading disagrees", Responses(_R.LAND_HERE, _R.LAND_HERE)
     BATTERY_LOW = "battery low", Responses(_R.LAND, _R.REPORT)
     BATTERY_CRITICAL = "battery critical", Responses(_R.LAND_HERE, _R.LAND_HERE)
     STATION_STALLED = "ground station stalled", Responses(_R.HOLD, _R.REPORT, irreversible=False)

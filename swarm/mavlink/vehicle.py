@@ -67,8 +67,8 @@ class VehicleEvent:
     """An event of a vehicle.
 
     ``kind`` is one of discovered, armed, disarmed, mode, landed, airborne, text, text warning, text
-    error (by its severity), origin, rebooted, done, failed; ``subject`` is the name of the command
-    or mode.
+    error (by its severity), origin, heading, rebooted, done, failed; ``subject`` is the name of the
+    command or mode.
     """
 
     kind: str
@@ -115,6 +115,7 @@ class Vehicle(Reports, ReportedMotion):
     global_position: Origin | None = None
     voltage: float = math.nan
     ready: bool | None = None
+    compass_healthy: bool = True
     satellites: int = -1
     gps_time: int = -1
     horizontal_accuracy: float = math.nan
@@ -413,6 +414,7 @@ _PREARM = int(common.MAV_SYS_STATUS_PREARM_CHECK)
 _POSITION_SENSORS = int(
     common.MAV_SYS_STATUS_AHRS | common.MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL
 )
+_COMPASS = int(common.MAV_SYS_STATUS_SENSOR_3D_MAG)
 _ORIGIN_MOVED = 0.05
 _MAX_POSITION_AGE = 0.3
 _MAX_VERTICAL_SPEED = 1.0
@@ -575,7 +577,8 @@ def _extended_state(vehicle: Vehicle, message: Message, _now: float) -> None:
 
 
 def _system_status(vehicle: Vehicle, message: Message, _now: float) -> None:
-    health = message.onboard_control_sensors_health & (_PREARM | _POSITION_SENSORS)
+    seen = _PREARM | _POSITION_SENSORS | _COMPASS
+    health = message.onboard_control_sensors_health & seen
     if not vehicle.believes("health", health):
         return
     vehicle.battery = (
@@ -584,6 +587,10 @@ def _system_status(vehicle: Vehicle, message: Message, _now: float) -> None:
     vehicle.voltage = message.voltage_battery / 1000.0
     enabled = message.onboard_control_sensors_enabled & _POSITION_SENSORS
     vehicle.position_healthy = not enabled & ~message.onboard_control_sensors_health
+    compass = not message.onboard_control_sensors_enabled & ~health & _COMPASS
+    if vehicle.compass_healthy and not compass:
+        vehicle.report("heading", "its compass is unhealthy")
+    vehicle.compass_healthy = compass
     autopilot = vehicle.autopilot
     health_only = autopilot is not None and not autopilot.lists_prearm_as_present
     if health_only or message.onboard_control_sensors_present & _PREARM:

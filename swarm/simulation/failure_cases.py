@@ -271,6 +271,13 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         ),
     ),
     FailureCase(
+        "heading disagrees",
+        "one vehicle",
+        _LANDED,
+        {"kind": "heading", "turn": 0.7},
+        detection_limit=0.5,
+    ),
+    FailureCase(
         "pilot takes over",
         "one vehicle",
         ("landed",),

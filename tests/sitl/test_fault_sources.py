@@ -219,7 +219,8 @@ def test_a_fault_of_a_carried_cable_has_the_same_effect_from_every_source(
 
 
 def test_every_fault_has_a_case_or_a_test() -> None:
-    """Tests of grippers and arming are on the ground, those of radios with their failsafes.
+    """Tests of grippers and arming are on the ground, those of radios with their failsafes, that of
+    headings with the faults' effects.
 
     Motion capture and a person's hands are in `tests/sitl/test_capture.py`: no vehicle causes them.
     """
@@ -230,6 +231,7 @@ def test_every_fault_has_a_case_or_a_test() -> None:
     }
     around = {"capture", "handled"}
     own = {"gripper_stuck_open", "gripper_stuck_shut", "refuse_arming", "rc_loss", "wind"}
+    own.add("heading")
     assert covered | own | around == set(KINDS)
     injected = {name for name, kind in KINDS.items() if kind.injected}
     assert injected == set(KINDS) - {"wind"} - around

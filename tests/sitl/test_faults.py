@@ -152,6 +152,24 @@ def test_position_faults_and_the_reaction_of_the_autopilot() -> None:
     )
 
 
+def test_a_wrong_heading_jumps_turns_back_and_pushes_aside() -> None:
+    ground = flying()
+    held = ground.last[1, "ATTITUDE"].yaw
+    (fault,) = scenario("at: 0, kind: heading, turn: 0.7")
+    ground.emulator.inject(fault)
+    stay(ground, 0.15)
+    assert ground.last[1, "ATTITUDE"].yaw - held == pytest.approx(0.7, abs=0.15), "it believes it"
+    stay(ground, 4.0)
+    assert ground.last[1, "ATTITUDE"].yaw == pytest.approx(held, abs=0.05)
+    here = ground.emulator.truth().position[0].copy()
+    ground.run(0.8, ground.toward({1: (here[0] + 2.0, here[1], here[2])}))
+    east, north, _ = ground.emulator.truth().position[0] - here
+    assert np.arctan2(north, east) == pytest.approx(0.7, abs=0.2), "to the left of where it wants"
+    ground.run(5.0, ground.toward({1: (here[0] + 2.0, here[1], here[2])}))
+    assert ground.emulator.truth().position[0, 0] == pytest.approx(here[0] + 2.0, abs=0.3)
+    assert ground.emulator.truth().position[0, 1] == pytest.approx(here[1], abs=0.3)
+
+
 def test_battery_pilot_and_leaving_offboard() -> None:
     ground = flying("at: 9.0, kind: battery, charge: 0.06")
     stay(ground, 2.0)
