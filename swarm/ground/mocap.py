@@ -37,6 +37,11 @@ for none. Nothing depends on the place: heading comes from motion capture too.""
 _UNKNOWN = math.nan
 _RATE_WINDOW = 2.0
 """Seconds over which poses are counted."""
+_LATEST, _MINUTE = 1.0, 60.0
+"""Seconds by which a pose may be late: beyond, the capture's clock has begun anew. Seconds after
+which the least delay is looked for again: quartz clocks part by 6 ms in that time at most."""
+_FARTHEST = 1e5
+"""Metres beyond which a number is no position in a laboratory."""
 CONNECT_TIMEOUT = 10.0
 """Seconds within which a laboratory's system must answer, which may be starting."""
 _MODULE = "swarm.ground.mocap_child"
@@ -96,7 +101,12 @@ def parse_frame(data: bytes) -> list[Pose]:
             poses.append(Pose(int(system), moment, (x, y, z), (qw, qx, qy, qz)))
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         return []
-    return [one for one in poses if all(map(math.isfinite, (moment, *one.position, *one.attitude)))]
+    return [
+        pose
+        for pose in poses
+        if math.isfinite(moment)
+        and all(abs(x) < _FARTHEST for x in (*pose.position, *pose.attitude))
+    ]
 
 
 class LaboratoryCapture:
@@ -189,7 +199,8 @@ class MocapBridge:
 
     Poses are stamped in the time of ``now``, that in which a ground station sends TIMESYNC: PX4
     takes poses for what they say by that clock, and rejects those from the future. ``_behind`` is
-    that time less the capture's, least over all poses: of the pose that was delayed least.
+    that time less the capture's, least over the poses of a minute or two: of the pose that was
+    delayed least. Clocks part in hours, and the capture's may begin anew.
     With a ``sender``, system and component, packets have sequence numbers of their own.
     """
 
@@ -200,6 +211,8 @@ class MocapBridge:
     _next_origin: float = 0.0
     _seen: dict[int, _Seen] = field(default_factory=dict)
     _behind: float = math.inf
+    _coming: float = math.inf
+    _minute: float = 0.0
     _missed: tuple[int, ...] = ()
     _encoders: dict[tuple[Any, ...], Encoder] = field(default_factory=dict)
 
@@ -207,8 +220,7 @@ class MocapBridge:
         """Yield the packets that are due at ``now``."""
         for pose in self.capture.latest():
             self._note(pose, now)
-            self._behind = min(self._behind, now - pose.time)
-            yield from self.to_vehicle(pose.system, estimate(pose, pose.time + self._behind))
+            yield from self.to_vehicle(pose.system, estimate(pose, self._captured(pose, now)))
         if now < self._next_origin:
             return
         self._next_origin = now + _ORIGIN_INTERVAL
@@ -216,6 +228,16 @@ class MocapBridge:
             kind = vehicle.autopilot
             if kind is not None and kind.needs_origin and vehicle.origin is None:
                 yield from self.to_vehicle(system, origin_message(system, self.origin))
+
+    def _captured(self, pose: Pose, now: float) -> float:
+        """Return when a pose was captured, in the time of ``now``."""
+        behind = now - pose.time
+        if behind - self._behind > _LATEST:
+            self._behind = self._coming = behind
+        if now - self._minute > _MINUTE:
+            self._behind, self._coming, self._minute = self._coming, behind, now
+        self._behind, self._coming = min(self._behind, behind), min(self._coming, behind)
+        return pose.time + self._behind
 
     def _note(self, pose: Pose, now: float) -> None:
         seen = self._seen.setdefault(pose.system, _Seen(pose, now))
@@ -275,7 +297,7 @@ def estimate(pose: Pose, at: float) -> Any:
     yaw = math.remainder(yaw, 2.0 * math.pi)
     unknown = [_UNKNOWN] * 21
     return common.MAVLink_vision_position_estimate_message(
-        round(at * 1e6), north, east, -up, roll, pitch, yaw, unknown, 0
+        max(0, round(at * 1e6)), north, east, -up, roll, pitch, yaw, unknown, 0
     )
 
 

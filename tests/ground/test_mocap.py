@@ -60,7 +60,8 @@ def test_an_attitude_in_ned_and_frd_is_the_same_rotation(yaw, pitch, roll):
     "data",
     [b"", b"[]", b"3", b'{"time": 1}', b'{"time": 1, "bodies": {"1": [1, 2]}}', b"\xff\xfe",
      b'{"time": 1, "bodies": {"x": [0, 0, 0, 1, 0, 0, 0]}}',
-     b'{"time": 1, "bodies": {"1": [NaN, 0, 0, 1, 0, 0, 0]}}'],
+     b'{"time": 1, "bodies": {"1": [NaN, 0, 0, 1, 0, 0, 0]}}',
+     b'{"time": 1, "bodies": {"1": [1e300, 0, 0, 1, 0, 0, 0]}}'],
 )  # fmt: skip
 def test_other_datagrams_are_no_frames(data):
     assert parse_frame(data) == []
@@ -246,3 +247,53 @@ def test_a_frame_has_the_heading_of_emulated_and_the_attitude_of_rigid_vehicles(
     yaw = world.bodies.yaw[0]
     assert bodies["1"][3:] == pytest.approx([math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)], abs=1e-6)
     assert bodies["2"][3:] == [0.5, 0.5, -0.5, 0.5]
+
+
+class Replayed:
+    """Poses that a test gives, as a capture."""
+
+    port = None
+
+    def __init__(self):
+        self.poses = []
+
+    def latest(self):
+        poses, self.poses = self.poses, []
+        return poses
+
+    def close(self):
+        pass
+
+
+def stamps(clock, times):
+    """Return the time in each message less that of sending; the capture's clock by ``clock``."""
+    team = Team(emulated_fleet(1), lambda *_: None)
+    link = next(iter(emulated_fleet(1).links))
+    beat = dialect.MAVLink(None, 1, 1)
+    assert team.receive(link, ("127.0.0.1", 9), beat.heartbeat_encode(2, 12, 0, 0, 3).pack(beat), 0)
+    capture, parser, found = Replayed(), dialect.MAVLink(None), []
+    bridge = MocapBridge(capture, team)
+    for now in times:
+        capture.poses = [Pose(1, clock(now), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))]
+        sent = [parser.parse_buffer(packet.data)[0] for packet in bridge.packets(now)]
+        (message,) = [one for one in sent if one.get_type() == "VISION_POSITION_ESTIMATE"]
+        found.append(1e-6 * message.usec - now)
+    return np.array(found)
+
+
+def test_a_capture_that_begins_anew_is_followed_and_stops_nothing():
+    times = np.arange(1.0, 30.0, 0.05)
+    late = stamps(lambda now: now + 5000.0 if now < 10.0 else now - 9.9, times)
+    assert np.abs(late).max() < 1e-3
+    forwards = stamps(lambda now: now if now < 10.0 else now + 5000.0, times)
+    assert np.abs(forwards).max() < 1e-3
+
+
+def test_clocks_that_part_for_hours_leave_stamps_as_they_are():
+    """A capture whose clock is 50 ppm slow, over eight hours, with a delay of up to 20 ms."""
+    rng = np.random.default_rng(1)
+    times = np.arange(0.0, 8 * 3600.0, 0.5)
+    delays = iter(rng.uniform(0.0, 0.02, len(times)))
+    late = stamps(lambda now: (now - next(delays)) * (1.0 - 50e-6), times)
+    assert late.min() > -0.03
+    assert late.max() < 0.005
