@@ -102,8 +102,8 @@ def test_each_in_progress_extends_the_timeout(queue):
     queue.acknowledge(Ack(211, common.MAV_RESULT_IN_PROGRESS), 0.2)
     sent, results = run(queue, 0.3, 0.1 + IN_PROGRESS_TIMEOUT)
     assert (sent, results) == ([], [])
-    queue.acknowledge(Ack(211, ACCEPTED), 5.15)
-    assert run(queue, 5.2, 5.3)[1][0].succeeded
+    queue.acknowledge(Ack(211, ACCEPTED), 0.15 + IN_PROGRESS_TIMEOUT)
+    assert run(queue, 0.2 + IN_PROGRESS_TIMEOUT, 0.3 + IN_PROGRESS_TIMEOUT)[1][0].succeeded
 
 
 @pytest.mark.parametrize(
