@@ -171,27 +171,19 @@ class Server:
         sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         sock.setblocking(False)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
-        try:
-            sock.bind((self.host, local))
-        except OSError:
-            sock.bind((self.host, 0))
+        _bind(sock, self.host, local)
         self._add(Endpoint(sock, vehicle, link, peer))
         return int(sock.getsockname()[1])
 
-    def listen(self, vehicle: Vehicle, port: int) -> int | None:
-        """Accept TCP connections to a vehicle; return the port, None if it is in use."""
+    def listen(self, vehicle: Vehicle, port: int) -> None:
+        """Accept TCP connections to a vehicle."""
         sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            sock.bind((self.host, port))
-        except OSError:
-            sock.close()
-            return None
+        _bind(sock, self.host, port)
         sock.listen(4)
         sock.setblocking(False)
         self.listeners[sock.fileno()] = (sock, vehicle)
         self.poll.register(sock, select.POLLIN)
-        return port
 
     def _add(self, endpoint: Endpoint) -> None:
         descriptor = endpoint.socket.fileno()
@@ -338,6 +330,15 @@ class Server:
             listener.close()
 
 
+def _bind(sock: socket.socket, host: str, port: int) -> None:
+    """Bind a socket; raises `OSError` that names the port where another program uses it."""
+    try:
+        sock.bind((host, port))
+    except OSError as error:
+        sock.close()
+        raise OSError(error.errno, f"port {port}: {error.strerror}") from None
+
+
 def open_clock(path: Path) -> mmap.mmap:
     """Return the memory of a new file for `Server.clock`; raises `OSError`."""
     with path.open("w+b") as file:
@@ -361,22 +362,31 @@ def to_default_ports(emulator: Emulator, host: str, speed: float, port_step: int
 
     PX4 number i (from 0) sends to UDP 14540 + i, from the tenth on to 14549, or to
     14540 + i·step; all send to 14550 too. ArduPilot sends to 14550 and listens on TCP 5760 + 10 i.
+    Raises `OSError` where another program uses one of the ports.
     """
     server = Server(emulator, host, speed)
-    for i, vehicle in enumerate(emulator.vehicles):
+    try:
+        _open_default_ports(server, host, port_step)
+    except OSError:
+        server.close()
+        raise
+    return server
+
+
+def _open_default_ports(server: Server, host: str, port_step: int | None) -> None:
+    for i, vehicle in enumerate(server.emulator.vehicles):
         entry = server.describe(vehicle)
         if vehicle.links and vehicle.is_px4:
             offset = min(i, 9) if port_step is None else i * port_step
             server.udp(vehicle, vehicle.links[0], (host, OFFBOARD + offset), OFFBOARD_LOCAL + i)
             entry["udp_to"] = f"{host}:{OFFBOARD + offset}"
-            ground = emulator.open_link(vehicle, "gcs")
+            ground = server.emulator.open_link(vehicle, "gcs")
             server.udp(vehicle, ground, (host, GROUND), GROUND_LOCAL + i)
         elif vehicle.links:
             server.udp(vehicle, vehicle.links[0], (host, GROUND))
-            port = server.listen(vehicle, TCP + 10 * i)
-            entry["tcp" if port else "tcp_taken"] = f"{host}:{TCP + 10 * i}"
+            server.listen(vehicle, TCP + 10 * i)
+            entry["tcp"] = f"{host}:{TCP + 10 * i}"
         entry["udp_ground"] = f"{host}:{GROUND}"
-    return server
 
 
 def truth_line(truth: Truth) -> str:
@@ -417,7 +427,6 @@ def truth_writer(file: TextIO) -> Callable[[Truth], None]:
 _PHRASES = {
     "udp_local": "on UDP port {}",
     "tcp": "listens on TCP {}",
-    "tcp_taken": "does not listen: another program uses TCP {}",
     "udp_to": "offboard client on UDP {}",
     "udp_ground": "ground station on UDP {}",
 }

@@ -296,3 +296,15 @@ def test_a_bug_is_reported_without_a_file_for_its_traceback(monkeypatch, tmp_pat
 )
 def test_a_reason_is_never_empty(error, words):
     assert reason(error) == words
+
+
+def test_a_reader_of_a_plan_that_leaves_early_is_no_error() -> None:
+    """``swarm plan … | head -1`` ends with exit code 0, without a traceback."""
+    with subprocess.Popen(
+        [SWARM, "plan", HOVER], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as plan:
+        assert plan.stdout is not None
+        assert plan.stderr is not None
+        plan.stdout.close()
+        errors = plan.stderr.read()
+    assert (plan.returncode, "Traceback" in errors) == (0, False), errors

@@ -293,13 +293,16 @@ def test_the_terminal_shows_completion_distances_and_the_worst_trials():
     certified = certify_clearances(PLAN, trials, 1)
     document = summary(PLAN, trials, seed=7, spread=CALM, certified=certified)
     console = Console(file=io.StringIO(), width=200)
-    print_trials(document, console)
+    print_trials(document, console, ["a mission.yaml"])
     lines = console.file.getvalue().splitlines()
     assert "2 trials of this plan, seed 7" in lines
     assert "not completed: 1 × lost" in lines
     assert any(line.startswith("cable to cable") for line in lines)
     assert any(line.startswith("among the worst: trial 1 (cable") for line in lines)
-    assert lines[-1].endswith("--seed 7 --trial 1 --recording trial.rrd")
+    assert lines[-1] == (
+        "to repeat the worst: swarm dry-run 'a mission.yaml' --seed 7 --trial 1 "
+        "--recording trial.rrd"
+    )
 
 
 def test_the_terminal_says_nothing_of_a_cable_or_an_interval_that_is_not_known():
@@ -310,7 +313,7 @@ def test_the_terminal_says_nothing_of_a_cable_or_an_interval_that_is_not_known()
     certified = certify_clearances(PLAN, trials, 1)
     document = summary(PLAN, trials, seed=7, spread=CALM, certified=certified)
     console = Console(file=io.StringIO(), width=80)
-    print_trials(document, console)
+    print_trials(document, console, ["a mission.yaml"])
     lines = [line.rstrip() for line in console.file.getvalue().splitlines()]
     (distances,) = [line for line in lines if line.startswith("vehicle to vehicle")]
     assert distances.split("  ")[-1].strip() == "2.00 m"

@@ -5,14 +5,14 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from swarm.cli.inputs import FILE, JSON, SET, print_json, progress_bar
+from swarm.cli.inputs import FILE, JSON, REPORT, SET, print_json, progress_bar
 from swarm.exports import assessment_object
-from swarm.files import read_text
+from swarm.files import read_text, write_text
 from swarm.front.certificates import Cable, Motion
 from swarm.front.certificates import certify as certify_motion
 from swarm.mission import Mission, mission_for_knot, parse_mission
 from swarm.mission.validation import LARGEST_FILE
-from swarm.reports.plan import print_findings
+from swarm.reports.plan import certificate_report, print_findings
 
 
 @click.command()
@@ -39,6 +39,7 @@ from swarm.reports.plan import print_findings
 @click.option("--robustness", is_flag=True, help="Compute e* and w* too; takes longer.")
 @SET
 @JSON
+@REPORT
 @click.pass_context
 def certify(
     context: click.Context,
@@ -49,6 +50,7 @@ def certify(
     robustness: bool,
     overrides: tuple[str, ...],
     as_json: bool,
+    report: Path | None,
 ) -> None:
     """Certify MOTION, a table of every grip point's motion as `swarm plan --export` writes it.
 
@@ -69,6 +71,8 @@ def certify(
         assessment = certify_motion(
             trajectory, cable=segments, mission=limits, robustness=robustness, progress=progress
         ).assessment
+    if report:
+        write_text(report, certificate_report(motion.name, assessment, limits.vehicles.tracking))
     if as_json:
         print_json(assessment_object(assessment))
     else:

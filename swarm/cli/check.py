@@ -50,6 +50,7 @@ from swarm.reports.check import (
     print_check,
     steps_table,
 )
+from swarm.reports.formatting import certified
 from swarm.reports.layout_sheet import layout_sheet
 from swarm.reports.result import drawn
 from swarm.reports.terminal import FlightScreen
@@ -210,7 +211,7 @@ def check(context: click.Context, /, **options: Any) -> None:
             fleet, folder, flight_plan,
             CheckOptions(
                 given.soak, confirm_fix, given.restore, progress, given.rtcm, given.fence,
-                given.mocap,
+                given.mocap, prepared=given.fleet_file is None,
             ),
         )  # fmt: skip
     hop_result, measured = None, None
@@ -225,7 +226,8 @@ def check(context: click.Context, /, **options: Any) -> None:
                 note_first_test(folder / "hop", real=real)
             measured = _write_measured(before, fleet, folder, hop_result)
         if given.sheet:
-            write_text(given.sheet, layout_sheet(flight_plan.plan, fleet, report.order))
+            sheet = layout_sheet(flight_plan.plan, fleet, report.order, flight_plan.assessment)
+            write_text(given.sheet, sheet)
     passed = passed_steps(fleet) if real else None
     if real and flight_plan is not None:
         report = report.with_findings(*_step_findings(flight_plan, fleet))
@@ -253,7 +255,9 @@ def _plan_finding(flight_plan: CertifiedPlan, fleet: Fleet | None) -> Finding:
     plan, limit = flight_plan.plan, flight_plan.assessment.robustness.tracking
     words = f"{plan.mission.name}, {plan.vehicles} vehicles, certified for tracking errors of "
     words += f"{plan.mission.vehicles.tracking:g} m"
-    return Finding("info", "plan", words + (f", e* {limit:.2f} m" if limit is not None else ""))
+    return Finding(
+        "info", "plan", words + (f", e* {certified(limit)}" if limit is not None else "")
+    )
 
 
 def _step_findings(flight_plan: CertifiedPlan, fleet: Fleet) -> list[Finding]:

@@ -110,6 +110,7 @@ def trials(
         if ended:
             break
     summaries = [run.summary() for run in runs]
+    arguments = _repeated_by(given, scenario)
     if output:
         write_results(output, [(run.plan, run.trials) for run in runs], seed, spread)
     if plot or report:
@@ -126,16 +127,25 @@ def trials(
             figures = [
                 study_plots.trials_figure(distances, required, [figure]) for figure in FIGURES
             ]
-            write_text(report, trials_report(planned.plan, planned.assessment, summaries, figures))
+            write_text(
+                report,
+                trials_report(planned.plan, planned.assessment, summaries, figures, arguments),
+            )
     if given.as_json:
         both = {"ours": summaries[0], "paper": summaries[-1]}
         print_json(both if len(runs) > 1 else summaries[0])
     else:
         for summary in summaries:
-            print_trials(summary, Console())
+            print_trials(summary, Console(), arguments)
     if ended:
         raise type(ended)(f"{ended} after {sum(map(len, runs))} trials")
     context.exit(0 if _passed(summaries[0]) else 1)
+
+
+def _repeated_by(given: Given, scenario: Path | None) -> list[str]:
+    """Return the arguments with which ``swarm dry-run`` flies the same mission and scenario."""
+    overrides = [part for text in given.overrides for part in ("--set", text)]
+    return [given.mission, *overrides, *(["--scenario", str(scenario)] if scenario else [])]
 
 
 def _passed(summary: Mapping[str, Any]) -> bool:

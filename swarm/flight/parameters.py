@@ -8,6 +8,7 @@ Values as documented for PX4 1.16 and ArduCopter 4.6.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -306,6 +307,12 @@ def required_values(autopilot: AutopilotName, requirements: Requirements) -> dic
         rule.name: rule.should if isinstance(rule.should, int | float) else rule.should(0.0)
         for rule in rules(autopilot, requirements)
     }
+
+
+def start_as_required(world: Mapping[str, Any], requirements: Requirements) -> None:
+    """Let the vehicles of an emulator's world start with the parameters that are required."""
+    for vehicle in world["vehicles"]:
+        vehicle["parameters"] = required_values(vehicle["autopilot"], requirements)
 
 
 def evaluate(

@@ -27,7 +27,7 @@ from swarm.flight.fleet_listener import position_quality
 from swarm.flight.flight_plan import Audit, ComparisonFlight, FlightPlan, go, require_tracking
 from swarm.flight.parameters import (
     plan_requirements,
-    required_values,
+    start_as_required,
     stream_loss_findings,
     stream_loss_model,
 )
@@ -568,9 +568,7 @@ def _start_emulator(
     seed = fleet.emulated.seed
     world = emulated_world(flight_plan.plan, fleet, with_cable=not options.no_cable, seed=seed)
     if options.firmware is not None:
-        required = plan_requirements(flight_plan.plan, fleet)
-        for vehicle in world["vehicles"]:
-            vehicle["parameters"] = required_values(vehicle["autopilot"], required)
+        start_as_required(world, plan_requirements(flight_plan.plan, fleet))
     port = links.port(next(iter(fleet.links)))
     firmware = None
     if options.firmware is not None:

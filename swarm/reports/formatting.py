@@ -81,11 +81,20 @@ def metres(value: float | None) -> str:
     return "–" if value is None or not math.isfinite(value) else f"{value:.2f} m"
 
 
-def certified(value: float | None, unit: str = "m") -> str:
-    """Return a certified value, rounded down: there is at least as much. A dash if unknown."""
+def certified(value: float | None) -> str:
+    """Return a certified length, rounded down: there is at least as much. A dash if unknown."""
+    return _at_least(value, 2, "m")
+
+
+def certified_wind(value: float | None) -> str:
+    """Return a certified wind, rounded down as :func:`certified`."""
+    return _at_least(value, 1, "m/s")
+
+
+def _at_least(value: float | None, decimals: int, unit: str) -> str:
     if value is None or not math.isfinite(value):
         return "–"
-    return f"{rounded_down(value, 2):.2f} {unit}"
+    return f"{rounded_down(value, decimals):.{decimals}f} {unit}"
 
 
 def seconds(value: float) -> str:
@@ -152,5 +161,5 @@ def plan_figures(plan: Plan, assessment: Assessment) -> list[tuple[str, object]]
         ("from take-off to the ground", seconds(plan.flight_duration)),
         ("tracking error certified for", metres(plan.mission.vehicles.tracking)),
         ("largest tracking error e*", certified(robustness.tracking)),
-        ("largest steady wind w*", certified(robustness.wind, "m/s")),
+        ("largest steady wind w*", certified_wind(robustness.wind)),
     ]

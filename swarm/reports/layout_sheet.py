@@ -7,10 +7,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.assessment import Assessment
 from swarm.flight.parameters import plan_requirements, rules
 from swarm.mavlink.frames import AutopilotName
 from swarm.mission.fleet import Fleet
-from swarm.planning import Plan
+from swarm.planning import Plan, digest
+from swarm.reports.formatting import certified, certified_wind
 from swarm.reports.pages import render
 from swarm.reports.result import Table
 
@@ -61,11 +63,17 @@ class LayoutMap:
     bar_length: float
 
 
-def layout_sheet(plan: Plan, fleet: Fleet | None = None, systems: Sequence[int] = ()) -> str:
+def layout_sheet(
+    plan: Plan,
+    fleet: Fleet | None = None,
+    systems: Sequence[int] = (),
+    assessment: Assessment | None = None,
+) -> str:
     """Return the sheet as a page: cable, grip marks, pads, lay line, vehicle labels, parameters.
 
     ``systems`` are the system ids in order along the cable as found by a check. Without them the
-    labels are those of the fleet's pads; without a fleet they are left blank.
+    labels are those of the fleet's pads; without a fleet they are left blank. With an
+    ``assessment`` the sheet states e* and w*.
     """
     grips, pads = grip_places(plan), plan.motion.at(0.0)[0]
     marks = grip_marks(plan)
@@ -82,13 +90,26 @@ def layout_sheet(plan: Plan, fleet: Fleet | None = None, systems: Sequence[int] 
     return render(
         "layout_sheet.html.j2",
         mission=plan.mission,
-        figures=[*figures, ("vehicles", plan.vehicles)],
+        figures=[*figures, ("vehicles", plan.vehicles), *_certified(assessment)],
+        digest=digest(plan),
         vehicles=_vehicles_table(plan, _labels(plan, fleet, systems), pads, grips),
         line=_lay_line(grips) if cable else None,
         map=_map(pads, grips),
         parameters=None if fleet is None else _parameters(plan, fleet),
         checklist=Table(("check", "done"), [(item, "☐") for item in _CHECKLIST]),
     )
+
+
+def _certified(assessment: Assessment | None) -> list[tuple[str, object]]:
+    """Return the largest tracking error and steady wind that are certified, where known."""
+    if assessment is None:
+        return []
+    known = assessment.robustness
+    rows = [
+        ("largest tracking error e*", known.tracking, certified),
+        ("largest steady wind w*", known.wind, certified_wind),
+    ]
+    return [(name, words(value)) for name, value, words in rows if value is not None]
 
 
 def grip_marks(plan: Plan) -> Floats:

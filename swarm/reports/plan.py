@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from rich.console import Console
@@ -10,7 +10,7 @@ from rich.padding import Padding
 from rich.table import Table as Grid
 from rich.text import Text
 
-from swarm.certification.assessment import Assessment, rounded_down
+from swarm.certification.assessment import Assessment
 from swarm.certification.budget import Budget, least_remaining
 from swarm.certification.clearances import Moment
 from swarm.certification.distances import Tightest
@@ -21,6 +21,7 @@ from swarm.planning import Plan
 from swarm.planning.few_vehicles import least_vehicles
 from swarm.reports.formatting import (
     certified,
+    certified_wind,
     counted,
     knot_in_words,
     metres,
@@ -40,6 +41,9 @@ from swarm.reports.result import (
     print_verdict,
     shortened,
 )
+
+if TYPE_CHECKING:
+    from swarm.reports.pages import Section
 
 IN_TABLES: Final = frozenset({"tightest", "budget"})
 """Checks whose findings are shown as tables."""
@@ -231,8 +235,7 @@ def _check_rows(plan: Plan, assessment: Assessment) -> Rows:
         error += f", holds up to {certified(robustness.tracking)} (e*)"
     rows: Rows = [("tracking error", error)]
     if robustness.wind is not None:
-        wind = rounded_down(robustness.wind, 1)
-        rows.append(("steady wind", f"holds up to {wind:.1f} m/s (w*)"))
+        rows.append(("steady wind", f"holds up to {certified_wind(robustness.wind)} (w*)"))
     if plan.vehicles > 1:
         rows += [
             (name, _distance(tightest))
@@ -357,17 +360,7 @@ def plan_report(plan: Plan, assessment: Assessment) -> str:
     mission = plan.mission.model_dump_json(by_alias=True, exclude_none=True, indent=1)
     sections = [
         pages.Section("Pictures", pictures=plan_pictures(plan, assessment), least="26rem"),
-        pages.Section(
-            "Smallest distances", [_distances_table(assessment)], _neighbours(assessment)
-        ),
-        pages.Section("Findings", [findings_table(_unlisted(assessment), worst_first=True)]),
-        pages.Section("Tightest moments", [moments_table(assessment.tightest)]),
-        pages.Section(
-            "Clearance budget",
-            [budget_table(assessment.budget)],
-            "Centimetres. What every effect takes from the distance of the tightest strands if all "
-            "come at the same moment. Tracking and sag are certified, the others are estimates.",
-        ),
+        *certificate_sections(assessment),
         pages.Section("Segments", [_segments_table(plan)]),
         pages.Section("Crossings", [Table(("segments", "distance, m"), crossings, numbers=(1,))]),
         pages.Section(
@@ -390,6 +383,48 @@ def plan_report(plan: Plan, assessment: Assessment) -> str:
         figures=plan_figures(plan, assessment),
         motion=planned_motion(plan, assessment),
     )
+
+
+def certificate_report(name: str, assessment: Assessment, tracking: float) -> str:
+    """Return the page of a motion that was planned elsewhere: verdict, distances and findings.
+
+    ``name`` is that of its file, ``tracking`` the tracking error of the certificate in metres.
+    """
+    from swarm.reports import pages  # noqa: PLC0415 - slow to import
+
+    robustness = assessment.robustness
+    return pages.page(
+        "Certificate",
+        name,
+        "certificate",
+        findings_verdict(assessment.findings),
+        certificate_sections(assessment),
+        about=[f"Knot of the cable: {knot_in_words(assessment.knot, assessment.chirality)}"],
+        figures=[
+            ("tracking error checked", metres(tracking)),
+            ("largest tracking error e*", certified(robustness.tracking)),
+            ("largest steady wind w*", certified_wind(robustness.wind)),
+        ],
+    )
+
+
+def certificate_sections(assessment: Assessment) -> "list[Section]":
+    """Return what the checks found: distances, findings, tightest moments and budget."""
+    from swarm.reports import pages  # noqa: PLC0415 - slow to import
+
+    return [
+        pages.Section(
+            "Smallest distances", [_distances_table(assessment)], _neighbours(assessment)
+        ),
+        pages.Section("Findings", [findings_table(_unlisted(assessment), worst_first=True)]),
+        pages.Section("Tightest moments", [moments_table(assessment.tightest)]),
+        pages.Section(
+            "Clearance budget",
+            [budget_table(assessment.budget)],
+            "Centimetres. What every effect takes from the distance of the tightest strands if all "
+            "come at the same moment. Tracking and sag are certified, the others are estimates.",
+        ),
+    ]
 
 
 def _distances_table(assessment: Assessment) -> Table:

@@ -26,7 +26,7 @@ from swarm.flight.trace import Trace
 from swarm.knots.catalog import KnotChoice
 from swarm.planning import KnotLayout, KnotSummary, Plan
 from swarm.reports import scene
-from swarm.reports.formatting import counted, together
+from swarm.reports.formatting import certified, counted, together
 from swarm.reports.result import Picture, picture
 
 Floats = npt.NDArray[np.float64]
@@ -466,7 +466,7 @@ def draw_clearance(
         low = max(tightest.distance, 0.0)
         axes.plot([tightest.time], [low], "v", color=ALARM, markersize=6)
         axes.annotate(
-            f"certified {low:.2f} m, {together(tightest.between)}",
+            f"certified {certified(low)}, {together(tightest.between)}",
             (tightest.time, low),
             textcoords="offset points",
             xytext=(-8 if late else 8, 0),

@@ -4,6 +4,7 @@
 (:func:`swarm.simulation.summaries.summary`).
 """
 
+import shlex
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -72,8 +73,11 @@ def _trajectory(summary: Document) -> str:
     return "the paper's trajectory" if summary["method"] == "paper" else "this plan"
 
 
-def print_trials(summary: Document, console: Console) -> None:
-    """Print verdict, completion, distances with intervals, contacts, causes, the worst trials."""
+def print_trials(summary: Document, console: Console, given: Sequence[str]) -> None:
+    """Print verdict, completion, distances with intervals, contacts, causes, the worst trials.
+
+    ``given`` are the arguments of the command that determine the trials: mission and scenario.
+    """
     sound, failing = summary["without_failure"], summary["with_failure"]
     print_verdict(trials_verdict(summary), console)
     say(
@@ -106,11 +110,15 @@ def print_trials(summary: Document, console: Console) -> None:
         words = f" ({details})" if details else ""
         say(console, f"among the worst: trial {trial['trial']}{words}")
     if summary["method"] != "paper":
-        say(
-            console,
-            f"to repeat the worst: swarm dry-run … --seed {summary['seed']} --trial "
-            f"{summary['worst'][0]['trial']} --recording trial.rrd",
-        )
+        line = f"to repeat the worst: {_repetition(summary, given)}"
+        console.print(line, soft_wrap=True, highlight=False, markup=False)
+
+
+def _repetition(summary: Document, given: Sequence[str]) -> str:
+    """Return the command that repeats the worst trial, for a shell."""
+    worst = summary["worst"][0]["trial"]
+    options = ("--seed", str(summary["seed"]), "--trial", str(worst), "--recording", "trial.rrd")
+    return shlex.join(["swarm", "dry-run", *given, *options])
 
 
 def _share(share: Document, trials: int) -> str:
@@ -121,13 +129,19 @@ def _share(share: Document, trials: int) -> str:
 
 
 def trials_report(
-    plan: Plan, assessment: Assessment, summaries: Sequence[Document], figures: Sequence["Figure"]
+    plan: Plan,
+    assessment: Assessment,
+    summaries: Sequence[Document],
+    figures: Sequence["Figure"],
+    given: Sequence[str],
 ) -> str:
     """Return the page of many trials: distributions, pictures, worst trials, and the plan.
 
-    The first of the ``summaries`` is that of this plan; ``figures`` are drawn from them.
+    The first of the ``summaries`` is that of this plan; ``figures`` are drawn from them. ``given``
+    are arguments as for :func:`print_trials`.
     """
     from swarm.reports import pages  # noqa: PLC0415 - slow to import
+    from swarm.simulation.spread import unit  # noqa: PLC0415
 
     summary = summaries[0]
     pictures = [picture(figure, "Smallest distances of all trials") for figure in figures]
@@ -143,7 +157,7 @@ def trials_report(
     ]
     worst_columns = ("trial", "cable to cable", "outcome", "injected failure", "reason")
     spread = [
-        (name, ", ".join(value) if isinstance(value, list) else f"{value:g}")
+        (name, ", ".join(value) if isinstance(value, list) else f"{value:g} {unit(name)}".strip())
         for name, value in summary["spread"].items()
     ]
     low, high = summary["without_failure"]["completed"]["interval"] or (0.0, 1.0)
@@ -156,7 +170,11 @@ def trials_report(
             )
             for each in summaries
         ),
-        pages.Section("Worst trials", [Table(worst_columns, worst, numbers=(0, 1))]),
+        pages.Section(
+            "Worst trials",
+            [Table(worst_columns, worst, numbers=(0, 1))],
+            f"To repeat the worst: {_repetition(summary, given)}",
+        ),
         pages.Section("Distributions", [Table(("key of the scenario's spread", "value"), spread)]),
         pages.plan_section(plan, assessment),
     ]

@@ -80,6 +80,13 @@ class Spread(Section):
     )
 
 
+def unit(key: str) -> str:
+    """Return the unit of a key of :class:`Spread`; "" for a share and for kinds."""
+    extra = Spread.model_fields[key].json_schema_extra
+    words = extra.get("unit") if isinstance(extra, dict) else ""
+    return {"metres": "m"}.get(str(words), str(words or ""))
+
+
 def read_scenario(text: str, source: str) -> tuple[Spread, tuple[Fault, ...]]:
     """Return the spread of a scenario file and the faults that occur in every trial.
 

@@ -196,6 +196,14 @@ def test_the_command_clears_and_refuses_with_its_exit_code(files):
     assert [finding["check"] for finding in wrong] == ["vehicle clearance"]
 
 
+def test_the_command_writes_a_page(files, tmp_path):
+    page = tmp_path / "certificate.html"
+    result = CliRunner().invoke(certify, [*files, "--json", "--report", str(page)])
+    assert result.exit_code == 0, result.output
+    assert "motion.csv: certificate" in page.read_text()
+    assert "Smallest distances" in page.read_text()
+
+
 def test_the_command_reports_bad_files_and_clearances(files, tmp_path):
     for arguments, words in (
         ([*files, "--clearance", "cable=-1"], "clearance.cable: expected a length > 0"),

@@ -155,7 +155,15 @@ def test_progress_is_shown_on_a_terminal(tmp_path):
         terminal.expect(words)
     terminal.expect(pexpect.EOF)
     terminal.close()
-    assert terminal.exitstatus == 1
+    assert terminal.exitstatus == 0  # the default fleet is ready
+
+
+def test_the_default_fleet_is_go_for_a_plan(tmp_path):
+    plan = small_plan()
+    options = CheckOptions(prepared=True)
+    report = check(emulated_fleet(3, ("px4", "ardupilot")), tmp_path, plan, options)
+    assert report.passed, [f.message for f in report.findings if f.severity == "error"]
+    assert report.parameters_set == ()
 
 
 def test_a_vehicle_whose_parameters_were_not_all_read_is_no_go(tmp_path):

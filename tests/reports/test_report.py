@@ -1,3 +1,4 @@
+import io
 import json
 import shutil
 import subprocess
@@ -12,16 +13,20 @@ import numpy as np
 import pytest
 from jinja2 import UndefinedError
 from matplotlib.figure import Figure
+from rich.console import Console
 
 from swarm.certification.budget import Budget
 from swarm.certification.clearances import Moment
 from swarm.certification.findings import Finding
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
+from swarm.mission.fleet import emulated_fleet
+from swarm.planning import digest
 from swarm.reports.failures import failures_report
 from swarm.reports.flight import flight_report
+from swarm.reports.layout_sheet import layout_sheet
 from swarm.reports.pages import render
-from swarm.reports.plan import plan_report
+from swarm.reports.plan import certificate_report, plan_report, print_plan_summary
 from swarm.reports.rope import rope_report
 from swarm.reports.trials import trials_report
 from tests.reports.synthetic import events, trefoil_plan
@@ -216,6 +221,9 @@ def share(count: int, low: float, high: float) -> dict[str, Any]:
     return {"count": count, "share": 0.5, "interval": [low, high]}
 
 
+GIVEN = ["m.yaml", "--scenario", "my winds.yaml"]
+
+
 def made_trials_report(below: tuple[int, ...] = ()) -> str:
     quantile = {"value": 0.5, "interval": [None, 0.55]}
     kept: dict[str, Any] = {"count": 2, "smallest": 0.41, "largest": 0.6, "required": 0.15}
@@ -232,7 +240,9 @@ def made_trials_report(below: tuple[int, ...] = ()) -> str:
         "reasons": {"lost": 1}, "worst": [worst],
         "certificate": {"compared": 3, "below": list(below)},
     }  # fmt: skip
-    return trials_report(PLAN, assessment(), [document, {**document, "method": "paper"}], [drawn()])
+    return trials_report(
+        PLAN, assessment(), [document, {**document, "method": "paper"}], [drawn()], GIVEN
+    )
 
 
 def made_rope_report(*void: str) -> str:
@@ -295,7 +305,7 @@ LOOK = """<!doctype html><title>-</title><iframe style="width:%dpx; height:900px
 srcdoc="%s"></iframe><script>addEventListener("load", () => {
   const page = document.querySelector("iframe").contentDocument;
   const wide = page.documentElement.clientWidth;
-  const out = (e) => !e.closest(".scroll, .wide, pre") && e.getBoundingClientRect().right > wide + 1;
+  const out = (e) => !e.closest(".scroll, pre") && e.getBoundingClientRect().right > wide + 1;
   document.title = JSON.stringify({
     sideways: page.documentElement.scrollWidth - wide,
     broken: [...page.images].filter((i) => !(i.complete && i.naturalWidth)).length,
@@ -313,6 +323,8 @@ def test_a_browser_shows_every_report_without_sideways_scrolling(
         ("plan", cleared_plan_report()),
         ("flight", made_flight_report()),
         ("trials", made_trials_report()),
+        ("sheet", layout_sheet(PLAN, emulated_fleet(PLAN.vehicles), (), assessment())),
+        ("certificate", certificate_report("motion.csv", assessment(), 0.1)),
         ("rope", made_rope_report()),
         ("failures", made_failures_report()),
     ):
@@ -328,5 +340,45 @@ def test_a_browser_shows_every_report_without_sideways_scrolling(
         ).stdout  # fmt: skip
         found = json.loads(seen.split("<title>")[1].split("</title>")[0])
         cut = found.pop("cut")
-        assert cut == 0 or name != "plan", f"{cut} tables of a plan are cut off"
+        assert cut == 0 or name not in {"plan", "sheet"}, f"{cut} tables of a {name} are cut off"
         assert found == {"sideways": 0, "broken": 0, "outside": 0}
+
+
+def test_the_trials_page_has_units_and_a_command_to_paste() -> None:
+    words = " ".join(Reader(made_trials_report()).words.split())
+    assert "wind 0.5 m/s" in words
+    command = "swarm dry-run m.yaml --scenario 'my winds.yaml' --seed 4 --trial 7"
+    assert f"To repeat the worst: {command} --recording trial.rrd" in words
+
+
+def test_one_value_is_rounded_down_in_one_way() -> None:
+    """A plan's page, its terminal text and its sheet state the same e*, w* and distances."""
+    found = assessment()
+    known = replace(found, robustness=replace(found.robustness, wind=2.669, tracking=0.1296))
+    close = replace(known.distances["vehicle"], distance=1.0697)
+    known = replace(known, distances={**known.distances, "vehicle": close})
+    console = Console(file=io.StringIO(), width=120)
+    print_plan_summary(PLAN, known, console)
+    for source in (
+        console.file.getvalue(),
+        Reader(plan_report(PLAN, known)).words,
+        Reader(layout_sheet(PLAN, assessment=known)).words,
+    ):
+        assert "2.6 m/s" in source
+        assert "0.12 m" in source
+        for wrong in ("2.66", "2.67", "2.7 m/s", " 0.13 m", "1.07"):
+            assert wrong not in source
+    assert "1.06 m" in console.file.getvalue()
+    assert "1.06 m" in plan_report(PLAN, known)
+
+
+def test_the_sheet_names_its_plan() -> None:
+    assert f"Plan SHA-256 {digest(PLAN)}" in Reader(layout_sheet(PLAN)).words
+
+
+def test_a_certificate_has_a_page() -> None:
+    refused = assessment(Finding("error", "taut", "segment 2 is over-stretched", 51.3))
+    read = Reader(certificate_report("motion.csv", refused, 0.1))
+    assert "motion.csv: certificate" in read.words
+    assert "Refused: 1 error (taut)." in read.words
+    assert "segment 2 is over-stretched" in read.words

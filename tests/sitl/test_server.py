@@ -1,5 +1,6 @@
 """The emulator as a process: sockets, signals, exit codes, ground truth on file."""
 
+import contextlib
 import json
 import os
 import re
@@ -202,3 +203,20 @@ def test_the_process_ends_with_its_parent() -> None:
     else:
         assert not Path(f"/proc/{child}").exists()
     assert os.path.isdir("/proc")
+
+
+@pytest.mark.parametrize("kind", ["px4", "ardupilot"])
+def test_occupied_ports_end_the_command_with_exit_code_3(
+    kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    taken = socket.socket(
+        socket.AF_INET, socket.SOCK_STREAM if kind == "ardupilot" else socket.SOCK_DGRAM
+    )
+    port = server.TCP if kind == "ardupilot" else server.OFFBOARD_LOCAL
+    with taken:
+        with contextlib.suppress(OSError):  # another program that has the port is as good
+            taken.bind(("127.0.0.1", port))
+            if kind == "ardupilot":
+                taken.listen()
+        assert main(["-n", "1", "--autopilot", kind]) == 3
+        assert f"cannot open sockets on 127.0.0.1: port {port}: " in capsys.readouterr().err

@@ -419,6 +419,7 @@ class CheckOptions:
     - ``rtcm``: address of a source of corrections that are sent to the vehicles' receivers.
     - ``mocap``: URL of a motion capture system whose poses are sent to the vehicles; without it,
       those of a bridge that runs for the fleet are looked at.
+    - ``prepared``: emulated vehicles start with the parameters that are required.
     - ``progress``: called from another thread with the present step.
     """
 
@@ -429,6 +430,7 @@ class CheckOptions:
     rtcm: str | None = None
     fence: bool = False
     mocap: str | None = None
+    prepared: bool = False
 
 
 def check(
@@ -454,8 +456,13 @@ def check(
         for system in fleet.systems:
             _saved(options.restore, system)
     plan = flight_plan.plan if flight_plan else None
-    with open_survey(fleet, folder, plan, options.rtcm, options.mocap) as survey:
+    required = _requirements(plan, fleet) if options.prepared else None
+    with open_survey(fleet, folder, plan, options.rtcm, options.mocap, required) as survey:
         return survey.run(_Check(survey, folder, plan, options).run)
+
+
+def _requirements(plan: Plan | None, fleet: Fleet) -> Requirements:
+    return plan_requirements(plan, fleet) if plan else fleet_requirements(Vehicles(), fleet)
 
 
 @dataclass
@@ -475,7 +482,8 @@ class _Check:
             if vehicle.autopilot is not None
         }
         auditor = Auditor(
-            self.survey.relay, names, self._demands(), self.options.progress,
+            self.survey.relay, names, _requirements(self.plan, self.listener.fleet),
+            self.options.progress,
             fences=self.listener.fleet.frame == "gps",
         )  # fmt: skip
         audits = auditor.audit()
@@ -506,14 +514,6 @@ class _Check:
     def listener(self) -> FleetListener:
         """The fleet as it is received."""
         return self.survey.listener
-
-    def _demands(self) -> Requirements:
-        fleet = self.listener.fleet
-        return (
-            plan_requirements(self.plan, fleet)
-            if self.plan
-            else fleet_requirements(Vehicles(), fleet)
-        )
 
     def _wanted_fence(self, order: Sequence[int]) -> tuple[FenceItem, ...] | None:
         """Return the mission's fence; None without a mission, or where it cannot be placed."""

@@ -14,6 +14,7 @@ from typing import TypeVar
 
 from swarm.errors import InputError, Problem, Refused, SwarmError, VehicleError
 from swarm.flight.fleet_listener import FleetListener
+from swarm.flight.parameters import Requirements, start_as_required
 from swarm.flight.world import bare_world, emulated_world
 from swarm.ground.commissioning.mavsdk_client import LogDownload, newest_logs
 from swarm.ground.corrections import Corrections, open_corrections
@@ -114,12 +115,14 @@ def open_survey(
     plan: Plan | None = None,
     rtcm: str | None = None,
     mocap: str | None = None,
+    required: Requirements | None = None,
 ) -> Iterator[Survey]:
     """Open the links of a fleet, and start the emulator for an emulated one.
 
     ``folder`` is for the files of the emulator, whose vehicles stand on the pads of ``plan``.
     ``rtcm`` is the address of a source of corrections, ``mocap`` of a motion capture system; the
-    links are those of a bridge that runs (:mod:`swarm.ground.mocap_bridge`).
+    links are those of a bridge that runs (:mod:`swarm.ground.mocap_bridge`). Emulated vehicles
+    start with the ``required`` parameters, if any.
     Raises :class:`InputError` if files cannot be written.
     """
     with ExitStack() as resources:
@@ -138,6 +141,8 @@ def open_survey(
                     if plan is not None
                     else bare_world(fleet)
                 )
+                if required is not None:
+                    start_as_required(world, required)
                 emulator = EmulatorProcess(world, folder, port, 1.0, fleet.signing_key)
                 resources.callback(emulator.stop)
             source = open_corrections(rtcm, fleet, listener.team)
