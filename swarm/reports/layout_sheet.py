@@ -144,7 +144,7 @@ def _vehicles_table(plan: Plan, labels: Sequence[str], pads: Floats, grips: Floa
     segments = [f"{length:.2f} m" for length in plan.layout.lengths]
     segments = [*segments, ""] if segments else none
     columns = (
-        "vehicle", "label", "grip mark from the cable's end", "pad x", "pad y", "grip x", "grip y",
+        "vehicle", "label", "grip mark from the cable's end", "pad x, y", "grip x, y",
         "next segment",
     )  # fmt: skip
     rows = [
@@ -152,15 +152,13 @@ def _vehicles_table(plan: Plan, labels: Sequence[str], pads: Floats, grips: Floa
             str(k + 1),
             labels[k],
             marks[k],
-            f"{pads[k, 0]:.2f}",
-            f"{pads[k, 1]:.2f}",
-            f"{grips[k, 0]:.2f}",
-            f"{grips[k, 1]:.2f}",
+            f"{pads[k, 0]:.2f}, {pads[k, 1]:.2f}",
+            f"{grips[k, 0]:.2f}, {grips[k, 1]:.2f}",
             segments[k],
         )
         for k in range(plan.vehicles)
     ]
-    return Table(columns, rows, numbers=(0, 2, 3, 4, 5, 6, 7))
+    return Table(columns, rows, numbers=(0, 2, 3, 4, 5))
 
 
 def _lay_line(grips: Floats) -> LayLine:
