@@ -99,7 +99,8 @@ class Screen:
         if self.as_json:
             self._print_json({"event": words})
         else:
-            self.console.print(words, soft_wrap=True, highlight=False, markup=False)
+            whole = not self.console.is_terminal
+            self.console.print(words, soft_wrap=whole, highlight=False, markup=False)
 
     def _print_json(self, content: object) -> None:
         sys.stdout.write(json.dumps(content) + "\n")
@@ -178,7 +179,8 @@ def _identify(fleet: Fleet, source: str | None, record: Path | None, *, as_json:
     folder = record or new_check_folder(Path("checks"))
 
     def say(words: str) -> None:
-        console.print(words, soft_wrap=True, highlight=False, markup=False)
+        whole = not console.is_terminal
+        console.print(words, soft_wrap=whole, highlight=False, markup=False)
 
     with console.status("listening") as status:
         say("Propellers off. All vehicles on the ground, and nothing else moved.")
@@ -190,7 +192,7 @@ def _identify(fleet: Fleet, source: str | None, record: Path | None, *, as_json:
         console.print()
         for finding in identification.findings():
             style = STYLES[SEVERITIES[finding.severity]]
-            console.print(Text(finding.message, style), soft_wrap=True)
+            console.print(Text(finding.message, style), soft_wrap=not console.is_terminal)
         words = "Every vehicle has its own body." if result["passed"] else "NOT as it should be."
         console.print(Text(words, STYLES["good" if result["passed"] else "bad"]))
         console.print(f"Result: {folder / 'bodies.json'}", soft_wrap=True, highlight=False)

@@ -23,6 +23,7 @@ import socket
 import stat
 import tempfile
 import time
+import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
@@ -204,6 +205,9 @@ class Bridge:
     _asked: float | None = None
     _hung_up: bool = False
     _ended: bool = False
+    _next_heartbeat: float = 0.0
+    _next_shown: float = _FIRST_SHOWN
+    _bugs: set[str] = field(default_factory=set)
 
     def run(self) -> None:
         """Run until the first interrupt; until the second one while vehicles are armed.
@@ -212,32 +216,47 @@ class Bridge:
         """
         interval = 1.0 / self.rate
         began = time.monotonic()
-        deadline, shown, heartbeat = began, began + _FIRST_SHOWN, began
-        with signal_handlers((signal.SIGINT, signal.SIGTERM, signal.SIGHUP), self._note_signal):
+        deadline = began
+        with signal_handlers((signal.SIGINT, signal.SIGTERM, signal.SIGHUP), self.ask):
             while not self._ended:
-                self.poses.team.read_unknown_again()
-                self._receive(began, deadline)
-                moment = time.monotonic()
-                now = moment - began
-                outgoing = list(self.poses.packets(now))
-                if moment >= heartbeat:
-                    heartbeat = moment + _HEARTBEAT_INTERVAL
-                    outgoing += self._heartbeats()
-                self.links.send(outgoing)
-                self._serve(now)
-                if (change := self.poses.change(now)) is not None:
-                    self.say(change[1])
-                if moment >= shown:
-                    shown = moment + _SHOWN_INTERVAL
-                    self.show(self._state(now))
-                self._obey(now)
+                try:
+                    self._receive(began, deadline)
+                    self._tick(time.monotonic() - began)
+                except Exception as error:
+                    # nine vehicles on one cable need the next poses, whatever was wrong with these
+                    self._report_bug(error)
+                self._obey(time.monotonic() - began)
                 deadline += interval * max(1.0, (time.monotonic() - deadline) // interval)
         for connection in (self._borrower, *self._guests):
             if connection is not None:
                 connection.close()
 
+    def _tick(self, now: float) -> None:
+        """Send what is due, and serve who asks."""
+        outgoing = list(self.poses.packets(now))
+        if now >= self._next_heartbeat:
+            self._next_heartbeat = now + _HEARTBEAT_INTERVAL
+            outgoing += self._heartbeats()
+        self.links.send(outgoing)
+        self._serve(now)
+        if (change := self.poses.change(now)) is not None:
+            self.say(change[1])
+        if now >= self._next_shown:
+            self._next_shown = now + _SHOWN_INTERVAL
+            self.show(self._state(now))
+
+    def _report_bug(self, error: Exception) -> None:
+        """Say once what went wrong in a tick."""
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        words = f"swarm has a bug: {type(error).__name__}: {error} ({where.name}, line "
+        words += f"{where.lineno}); poses go on"
+        if words not in self._bugs:
+            self._bugs.add(words)
+            self.say(words)
+
     def _receive(self, began: float, until: float) -> None:
         """Receive packets of the vehicles until a time, where nobody has borrowed the links."""
+        self.poses.team.read_unknown_again()
         while (wait := until - time.monotonic()) > 0.0:
             if self._borrower is not None:
                 time.sleep(wait)
@@ -319,7 +338,8 @@ class Bridge:
     def _armed(self) -> tuple[int, ...]:
         return tuple(v.system for v in self.poses.team.vehicles.values() if v.armed)
 
-    def _note_signal(self, number: int, _frame: FrameType | None) -> None:
+    def ask(self, number: int, _frame: FrameType | None = None) -> None:
+        """Note a signal; it is obeyed after the next tick."""
         self._signals.append(number)
 
     def _obey(self, now: float) -> None:

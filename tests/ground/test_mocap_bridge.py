@@ -2,6 +2,7 @@
 
 import json
 import os
+import queue
 import signal
 import socket
 import subprocess
@@ -18,11 +19,13 @@ from rich.console import Console
 from swarm.cli.mocap import Screen
 from swarm.errors import Refused, VehicleError
 from swarm.flight.bodies import Body, Pose, PoseRow, pose_rows
-from swarm.flight.router import Outgoing
+from swarm.flight.router import Outgoing, Team
 from swarm.flight.world import bare_world
 from swarm.ground import mocap_bridge
 from swarm.ground.commissioning.check import CheckOptions, check
-from swarm.ground.mocap_bridge import BridgeState, claimed, links_of, running_bridge
+from swarm.ground.mocap import MocapBridge
+from swarm.ground.mocap_bridge import Bridge, BridgeState, claimed, links_of, running_bridge
+from swarm.ground.sockets import open_links
 from swarm.mavlink.packets import Encoder
 from swarm.mavlink.vehicle import Vehicle
 from swarm.mission.fleet import emulated_fleet, parse_fleet
@@ -382,6 +385,71 @@ def test_a_terminal_that_stands_still_stops_nothing():
         assert time.monotonic() - began < 5.0
     assert console.asked == 1
     console.goes_on.set()
+
+
+class Faulty:
+    """A capture that fails at first."""
+
+    port, fails = None, True
+
+    def latest(self):
+        if self.fails:
+            self.fails = False
+            raise ValueError("what nobody thought of")
+        return [Pose(1, time.monotonic(), (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))]
+
+
+def test_poses_go_on_after_an_error_of_the_program():
+    fleet = fleet_on(free_port())
+    states, said = queue.Queue(), []
+    with ExitStack() as stack:
+        links = open_links(fleet.links)
+        stack.callback(links.close)
+        listening = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
+        listening.bind("")
+        listening.listen()
+        listening.setblocking(False)
+        poses = MocapBridge(Faulty(), Team(fleet, lambda *_: None))
+        bridge = Bridge(poses, links, listening, "vrpn://x", 50.0, states.put, said.append)
+        running = threading.Thread(target=bridge.run)
+        running.start()
+        state = states.get(timeout=LIMIT)
+        bridge.ask(signal.SIGTERM)
+        running.join(LIMIT)
+    assert state.rows[0].rate > 10.0
+    assert len(said) == 1, said
+    assert said[0].startswith("swarm has a bug: ValueError: what nobody thought of (latest, line ")
+    assert said[0].endswith("; poses go on")
+
+
+def test_in_a_pipe_what_is_wrong_is_said_once_and_that_it_is_right_again(capsys):
+    screen = Screen(Console(), as_json=False)
+    good, bad = (
+        PoseRow(1, 20.0, 0.01, 0.03),
+        PoseRow(1, 20.0, 0.8, 0.03, "error", "no pose for 0.8 s"),
+    )
+    for row in (good, good, bad, bad, good):
+        # one at a time: states that a terminal is too slow for are left out
+        with screen.running():
+            screen.show(BridgeState((row,), (), (), None))
+    said = capsys.readouterr().out.splitlines()
+    assert said == [
+        "system 1: 20 poses/s, the newest 0.01 s old, 0.03 m from its estimate",
+        "system 1: 20 poses/s, the newest 0.80 s old, 0.03 m from its estimate; no pose for 0.8 s",
+        "system 1: 20 poses/s, the newest 0.01 s old, 0.03 m from its estimate",
+    ]
+
+
+def test_a_script_gets_a_line_a_second(capsys):
+    screen = Screen(Console(), as_json=True)
+    for _ in range(3):
+        with screen.running():
+            screen.show(STATE)
+    with screen.running():
+        screen.say("words")
+    first, second, words = map(json.loads, capsys.readouterr().out.splitlines())
+    assert first == second == bridge_object(STATE)
+    assert words == {"event": "words"}
 
 
 @pytest.mark.usefixtures("in_real_time")
