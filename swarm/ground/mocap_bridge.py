@@ -435,13 +435,17 @@ class Borrowed:
 
     def change(self, now: float) -> tuple[str, str] | None:  # noqa: ARG002 - a feed
         """Return an event: who sends the poses, or that nobody does any more."""
-        words = f"the bridge in process {self.process} sends the poses ({self.source})"
-        if self._ended:
-            words = f"the bridge in process {self.process} has ended: no vehicle gets poses"
-        if words == self._said:
+        if self.words == self._said:
             return None
-        self._said = words
-        return "motion capture", words
+        self._said = self.words
+        return "motion capture", self.words
+
+    @property
+    def words(self) -> str:
+        """Who sends the poses, in words."""
+        if self._ended:
+            return f"the bridge in process {self.process} has ended: no vehicle gets poses"
+        return f"the bridge in process {self.process} sends the poses ({self.source})"
 
     def from_vehicles(self, link: str, address: Address | None, data: bytes) -> None:
         """Pass on a copy of what a vehicle has sent; none waits for a slow bridge."""

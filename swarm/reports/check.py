@@ -52,6 +52,7 @@ def check_object(
             for link in report.links
         ],
         "poses": poses_object(report.poses),
+        "pose_sender": report.sender or None,
         "parameters_set": list(report.parameters_set),
         "order": list(report.order),
         "findings": [finding_object(finding) for finding in report.findings],
@@ -113,6 +114,7 @@ def print_check(report: CheckReport, console: Console) -> None:
     if wrong:
         console.print(drawn(parameter_table(wrong)))
     if report.poses:
+        console.print(report.sender, soft_wrap=True, highlight=False, markup=False)
         console.print(drawn(poses_table(report.poses)))
     # parameters and poses have tables of their own
     tables = {"parameters", "poses"}

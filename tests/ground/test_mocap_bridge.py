@@ -487,4 +487,6 @@ def test_a_check_says_what_each_vehicle_gets(tmp_path, capsys):
     assert [row["system"] for row in shown] == [1, 2]
     assert shown == poses_object(report.poses)
     print_check(report, Console())
-    assert "no digit of its pose has changed" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "no digit of its pose has changed" in printed
+    assert f"this check sends the poses (udp://127.0.0.1:{frames}): they end with it" in printed

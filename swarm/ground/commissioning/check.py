@@ -36,6 +36,7 @@ from swarm.flight.parameters import (
 from swarm.flight.preparation import GATHERING, Prepared, mission_fence
 from swarm.ground.commissioning.mavsdk_client import VehicleReport, vehicle_reports
 from swarm.ground.commissioning.survey import Survey, open_survey
+from swarm.ground.mocap_bridge import Borrowed
 from swarm.ground.relay import Relay
 from swarm.mavlink.fence import FenceItem, same_fence
 from swarm.mavlink.frames import AutopilotName
@@ -363,7 +364,8 @@ class CheckReport:
     """The result of a check: vehicles, links, findings, and the parameters that were set.
 
     ``order`` are the system ids in order along the cable; empty without a plan. ``poses`` has a row
-    for each vehicle where a motion capture system is read, here or by a bridge that runs.
+    for each vehicle where a motion capture system is read, here or by a bridge that runs;
+    ``sender`` says by whom.
     """
 
     vehicles: tuple[VehicleAudit, ...]
@@ -372,6 +374,7 @@ class CheckReport:
     findings: tuple[Finding, ...]
     order: tuple[int, ...] = ()
     poses: tuple[PoseRow, ...] = ()
+    sender: str = ""
 
     @property
     def passed(self) -> bool:
@@ -625,8 +628,17 @@ class _Check:
             findings.extend(link.findings(STREAM_LOSS_TIME, fleet.rates.position))
         findings.extend(radio_findings(fleet, plan.vehicles if plan else len(fleet.vehicles)))
         return CheckReport(
-            tuple(audits), tuple(links), tuple(changed), tuple(findings), order, poses
-        )
+            tuple(audits), tuple(links), tuple(changed), tuple(findings), order, poses,
+            self._sender(),
+        )  # fmt: skip
+
+    def _sender(self) -> str:
+        """Return who sends the poses, in words; "" where nobody is known to."""
+        source = self.survey.poses
+        if isinstance(source, Borrowed):
+            return source.words
+        mocap = self.options.mocap
+        return f"this check sends the poses ({mocap}): they end with it" if mocap else ""
 
     def _poses(self) -> tuple[PoseRow, ...]:
         """Return what the vehicles get from motion capture, where it is known."""
