@@ -413,7 +413,7 @@ def contingencies_of(plan: Plan) -> tuple[Contingencies | None, list[Finding]]:
         for gate in plan.gates
         if gate.condition == "released"
         and gate.time <= end + _SAME
-        and not found.can_release(gate.time)
+        and not found.may_fall(gate.time)
     ]
     return Contingencies(land, release, stop.time, stop.distance), findings
 

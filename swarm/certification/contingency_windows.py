@@ -46,13 +46,14 @@ class ContingencyWindows:
     """Open contingencies at the moments ``time`` (k,) of a plan.
 
     ``land`` (k,): all vehicles can descend vertically together, up to STAGGER apart; ``release``
-    (k,): all can release. Holding is possible at all moments of a certified plan: the team stops
-    along its path.
+    (k,): all can release, move apart and land; ``falls`` (k,): no released cable falls on a rotor.
+    Holding is possible at all moments of a certified plan: the team stops along its path.
     """
 
     time: Floats
     land: Flags
     release: Flags
+    falls: Flags
 
     def share(self, open_: Flags, start: float, end: float) -> float:
         """Return the share of the moments from ``start`` to ``end`` at which a window is open."""
@@ -81,6 +82,10 @@ class ContingencyWindows:
         """Whether all vehicles can release at a time: at the moments on both sides of it."""
         return self._open(self.release, time)
 
+    def may_fall(self, time: float) -> bool:
+        """Whether cable that is released at a time falls on no vehicle, as :meth:`can_release`."""
+        return self._open(self.falls, time)
+
     def can_land(self, time: float) -> bool:
         """Whether all vehicles can land together at a time: at the moments on both sides of it."""
         return self._open(self.land, time)
@@ -95,9 +100,10 @@ class ContingencyWindows:
 def contingency_windows(plan: Plan, *, whole: bool = False) -> ContingencyWindows:
     """Return the windows of a plan while its cable is aloft, or of the ``whole`` flight.
 
-    Both need rotors without cable above them (:func:`rotors_clear`), and no obstacle below vehicles
-    or UP above them. For landing, vehicles must also be apart horizontally, chords must allow that
-    some vehicles are LANDING_SPEED·STAGGER lower than others, and no obstacle may be below cable.
+    Both need rotors without cable above them (:func:`rotors_clear`), and no obstacle below
+    vehicles; for a release, nor up to UP above them. For landing, vehicles must also be apart
+    horizontally, chords must allow that some vehicles are LANDING_SPEED·STAGGER lower than others,
+    and no obstacle may be below cable.
     """
     phases = [phase for phase in plan.phases if whole or phase.cable == "aloft"]
     instants = [
@@ -105,7 +111,8 @@ def contingency_windows(plan: Plan, *, whole: bool = False) -> ContingencyWindow
         for phase in phases
     ]
     time = np.unique(np.concatenate(instants)) if instants else np.empty(0)
-    release, land = np.ones(len(time), dtype=bool), np.zeros(len(time), dtype=bool)
+    falls = np.ones(len(time), dtype=bool)
+    release, land = np.zeros((2, len(time)), dtype=bool)
     hangs = np.zeros(len(time), dtype=bool)
     for phase in phases:
         if phase.cable in {"aloft", "lifting"}:
@@ -114,22 +121,23 @@ def contingency_windows(plan: Plan, *, whole: bool = False) -> ContingencyWindow
         part = slice(begin, begin + _BATCH)
         position, held = plan.motion.at(time[part])[0], hangs[part]
         even = ~held
-        release[part] = clear_below(plan.mission, position)
         if held.any():
-            release[part][held] &= rotors_clear(plan, position[held])
+            falls[part][held] = rotors_clear(plan, position[held])
             even[held] = _chords_allow_stagger(plan, position[held])
             even[held] &= _cable_clear_below(plan, position[held])
-        land[part] = release[part] & _vehicles_apart(plan, position) & even
-    return ContingencyWindows(time, land, release)
+        release[part] = falls[part] & clear_below(plan.mission, position, UP)
+        even &= clear_below(plan.mission, position)
+        land[part] = falls[part] & _vehicles_apart(plan, position) & even
+    return ContingencyWindows(time, land, release, falls)
 
 
-def clear_below(mission: Mission, position: Floats) -> Flags:
-    """Return whether no obstacle is near vehicles (k,), below them, or up to UP above them.
+def clear_below(mission: Mission, position: Floats, up: float = 0.0) -> Flags:
+    """Return whether no obstacle is near vehicles (k,), below them, or up to a height above them.
 
     For grip points (k, n, 3), with tracking errors.
     """
     vehicles, solids = mission.vehicles, obstacles_of(mission)
-    bodies = grown(solids, vehicles.radius, vehicles.grip_offset + UP)
+    bodies = grown(solids, vehicles.radius, vehicles.grip_offset + up)
     return _nothing_below(bodies, position, mission.clearance.obstacle + vehicles.tracking)
 
 

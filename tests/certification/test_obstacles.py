@@ -238,6 +238,13 @@ def test_nobody_lands_on_a_table():
     assert not found.release[over < 0.5 + 0.25 + CLEARANCE + TRACKING].any()
     assert found.release[over > 0.5 + 0.25 + CLEARANCE + TRACKING + 1e-6].all()
     assert not (found.land & ~found.release).any()
+    assert found.falls.all()
+    assert found.may_fall(4.0)
+    above = table | {"centre": [4.0, 2.4], "bottom": 6.4, "top": 6.6}
+    found = contingency_windows(beside(moving([0.0, 8.0], places), [3.0], obstacles=[above]))
+    # the team does not climb before it lands, but where it moves apart
+    assert found.land.all()
+    assert not found.release[over < 0.5 + 0.25].any()
 
 
 @pytest.mark.parametrize("height", [0.75, 7.0])

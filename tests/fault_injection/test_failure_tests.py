@@ -351,7 +351,7 @@ def moving_to_a_landing(
     time = np.arange(0.0, PLAN.plan.duration, 0.25)
     state = flight.conductor.state
     later = time > start + 6.0
-    windows = ContingencyWindows(time, later, later | releasable)
+    windows = ContingencyWindows(time, later, later | releasable, later)
     state.setup = replace(state.setup, windows=windows)
     if after is not None:
         flight.emulator.inject(

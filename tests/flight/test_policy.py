@@ -78,7 +78,7 @@ def standing(conductor, windows: Windows, stage: Stage) -> FlightState:
     time = np.arange(0.0, PLAN.plan.duration, 0.25)
     land = np.full(len(time), windows in {Windows.BOTH, Windows.LAND})
     release = np.full(len(time), windows in {Windows.BOTH, Windows.RELEASE})
-    flight.setup = replace(flight.setup, windows=ContingencyWindows(time, land, release))
+    flight.setup = replace(flight.setup, windows=ContingencyWindows(time, land, release, release))
     if stage is Stage.CONTINGENCY:
         contingency.leave_the_plan(flight, Response.LAND_HERE, WORDS)
         later = flight.clock.time + 3.0
