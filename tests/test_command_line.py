@@ -199,6 +199,8 @@ def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> No
     assert flown["outcome"] == "done"
     assert flown["knot"]["as_planned"] is True
     assert (flown["knot"]["type"], flown["knot"]["chirality"]) == ("3_1", "right")
+    assert {"cable", "floor", "rotor_disc"} <= set(flown["clearance"])
+    assert not {"vehicle_fence", "cable_obstacle"} & set(flown["clearance"]), "there is none"
     for clearance in flown["clearance"].values():
         assert clearance["certified"]["distance"] >= clearance["certified"]["required"]
         assert clearance["flown"]["distance"] >= clearance["certified"]["required"]

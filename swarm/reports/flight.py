@@ -3,6 +3,7 @@
 What is flown is described once, by the JSON object: lengths in metres, times in seconds.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -11,6 +12,7 @@ from rich.console import Console
 
 from swarm.certification.assessment import Assessment
 from swarm.certification.findings import numbers
+from swarm.certification.kinds import FIGURES
 from swarm.exports import tightest_object
 from swarm.flight.result import FlightResult, adherence_object, skipped_words
 from swarm.flight.snapshot import Event
@@ -80,13 +82,21 @@ def outcome_object(
 
 
 def verification_object(verification: Verification, assessment: Assessment) -> dict[str, Any]:
-    """Return the implied knot, flown beside certified distances, and the tracking errors."""
+    """Return the implied knot, flown beside certified distances, and the tracking errors.
+
+    Clearances of things that the plan does not have, as a fence, are left out, but for FIGURES.
+    """
+    pairs = {
+        figure: (flown, assessment.certified(figure))
+        for figure, flown in verification.distances.items()
+    }
     clearance = {
         figure: {
             "flown": tightest_object(flown) if flown else None,
-            "certified": tightest_object(assessment.certified(figure)),
+            "certified": tightest_object(held),
         }
-        for figure, flown in verification.distances.items()
+        for figure, (flown, held) in pairs.items()
+        if flown or figure in FIGURES or math.isfinite(held.distance)
     }
     return {
         "knot": {
