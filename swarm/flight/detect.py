@@ -182,9 +182,14 @@ _RETURN_MODES = frozenset({"return", "smart return", "auto return"})
 
 
 class ReportDetector:
-    """Judges the events that vehicles report; positions are those of the tick before."""
+    """Judges the events that vehicles report; positions are those of the tick before.
 
-    def __init__(self) -> None:
+    What is reported of a ``compass`` counts where headings come from one: motion capture has its
+    own, and halls disturb compasses.
+    """
+
+    def __init__(self, *, compass: bool) -> None:
+        self._compass = compass
         self._left: dict[int, FailureKind] = {}
 
     def detect(
@@ -218,7 +223,9 @@ class ReportDetector:
                     failure = None if known else failure
             case "rebooted":
                 failure = Failure(FailureKind.REBOOTED, f"{name} {event.message}", k)
-            case "heading" | "text warning" | "text error" if flying and k not in expected.fallen:
+            case "heading" | "text warning" | "text error" if (
+                self._compass and flying and k not in expected.fallen
+            ):
                 if event.kind == "heading" or _tells_of_heading(event.message):
                     words = f"{name}: {event.message}"
                     failure = Failure(FailureKind.HEADING_DISAGREES, words, k)
@@ -701,7 +708,7 @@ class Detectors:
         reported, n = Latch(), plan.vehicles
         carried = setup.carries_cable and not options.open_loop
         paced = not options.open_loop and options.error_limit is None
-        self.reports = ReportDetector()
+        self.reports = ReportDetector(compass=fleet.frame != "shared")
         self.station = StationDetector()
         self.motion = MotionDetector(n, reported, cable=setup.carries_cable)
         self.heights = HeightDetector(n, reported)

@@ -292,7 +292,7 @@ def test_a_vehicle_that_leaves_offboard_mode_fails_by_the_mode_it_takes(mode, ki
         mode=mode, in_manual_mode=False, in_mode=lambda _: False, recent_warnings=lambda _: ""
     )
     event = VehicleEvent("mode", f"mode {mode}")
-    detector = ReportDetector()
+    detector = ReportDetector(compass=True)
     assert kinds(detector.detect(seen(), expected(), 1, vehicle, event, 10.0)) == [kind]
     rejoining = expected(rejoining=frozenset({1}))
     assert detector.detect(seen(), rejoining, 1, vehicle, event, 10.0) == []
@@ -300,7 +300,10 @@ def test_a_vehicle_that_leaves_offboard_mode_fails_by_the_mode_it_takes(mode, ki
 
 def test_a_vehicle_that_has_left_fails_again_only_by_another_mode_or_after_its_return():
     """A PX4 whose setpoints had ended takes one that was under way, and loses them again."""
-    detector, outside = ReportDetector(), expected(streaming=np.array([True, False, True]))
+    detector, outside = (
+        ReportDetector(compass=True),
+        expected(streaming=np.array([True, False, True])),
+    )
 
     def enters(mode, commanded):
         vehicle = SimpleNamespace(

@@ -128,7 +128,7 @@ def test_a_heading_as_recorded_firmware_holds_it_is_no_failure(error, who, wind)
     ],
 )
 def test_the_texts_of_both_firmwares_tell_of_wrong_headings_in_flight(kind, text, told):
-    reports, event = ReportDetector(), VehicleEvent(kind, text)
+    reports, event = ReportDetector(compass=True), VehicleEvent(kind, text)
     vehicle = SimpleNamespace()
     found = reports.detect(seen(), expected(), 1, vehicle, event, 10.0)
     assert kinds(found) == [FailureKind.HEADING_DISAGREES] * told
@@ -142,7 +142,7 @@ def test_the_texts_of_both_firmwares_tell_of_wrong_headings_in_flight(kind, text
 )
 def test_real_autopilots_in_sound_flights_have_no_wrong_heading(name, system):
     _, headings = detector()
-    vehicle, decoder, reports = Vehicle(system), Decoder(), ReportDetector()
+    vehicle, decoder, reports = Vehicle(system), Decoder(), ReportDetector(compass=True)
     compared = 0
     for now, data in recorded(name):
         if data[5] != system:
@@ -176,5 +176,14 @@ def test_an_unhealthy_compass_is_an_event_and_in_flight_a_failure(name):
     assert event.message == "its compass is unhealthy"
     assert status(2, compass, 0) == []
     assert status(3, compass, compass) == status(4, 0, 0) == []
-    found = ReportDetector().detect(seen(), expected(), 1, vehicle, event, 10.0)
+    found = ReportDetector(compass=True).detect(seen(), expected(), 1, vehicle, event, 10.0)
     assert kinds(found) == [FailureKind.HEADING_DISAGREES]
+
+
+@pytest.mark.parametrize("kind", ["heading", "text warning"])
+def test_a_compass_does_not_count_where_poses_give_the_heading(kind):
+    event, vehicle = VehicleEvent(kind, "Compass needs calibration"), Vehicle(1)
+    for compass in (True, False):
+        reports = ReportDetector(compass=compass)
+        found = reports.detect(seen(), expected(), 0, vehicle, event, 10.0)
+        assert [failure.kind for failure in found] == [FailureKind.HEADING_DISAGREES] * compass
