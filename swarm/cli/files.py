@@ -54,7 +54,8 @@ def _section_lines(name: str, section: Section, preset: Preset | None) -> list[s
     lines = []
     for key, field in type(section).model_fields.items():
         value = getattr(section, key)
-        entry = f"  {key}: {value}" if value is not None else f"  # {key}:"
+        given = value is not None and value != ()
+        entry = f"  {key}: {value}" if given else f"  # {key}:"
         comment = f"{field.description}{_expected(field)}"
         source = preset.values.get(f"{name}.{key}") if preset else None
         if source is not None:

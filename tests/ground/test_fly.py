@@ -80,10 +80,7 @@ def test_its_record_is_complete(flown):
     assert (phases[0], [name for name in phases if name in planned]) == ("prepare", planned)
     log = mavutil.mavlink_connection(str(folder / "flight.tlog"))
     systems = set()
-    for _ in range(3000):
-        message = log.recv_match()
-        if message is None:
-            break
+    while (message := log.recv_match()) is not None:
         # pymavlink does not read the header of a message that it does not know
         if not message.get_type().startswith("UNKNOWN"):
             systems.add((message.get_srcSystem(), message.get_type()))

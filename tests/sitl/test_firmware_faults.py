@@ -33,8 +33,8 @@ def outside(kind, faults=()):
 @pytest.mark.parametrize(
     ("kind", "fault", "known"),
     [
-        ("ardupilot", "gps_loss", ""),
-        ("px4", "freeze", "barometer_drift, gps_jump, gps_loss, "),
+        ("ardupilot", "gps_loss", "capture, "),
+        ("px4", "freeze", "barometer_drift, capture, gps_jump, gps_loss, "),
     ],
 )
 def test_faults_that_the_world_cannot_cause_in_real_firmware_are_refused(kind, fault, known):
