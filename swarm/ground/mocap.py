@@ -37,11 +37,18 @@ for none. Nothing depends on the place: heading comes from motion capture too.""
 _UNKNOWN = math.nan
 _RATE_WINDOW = 2.0
 """Seconds over which poses are counted."""
-_LATEST, _MINUTE = 1.0, 60.0
-"""Seconds by which a pose may be late: beyond, the capture's clock has begun anew. Seconds after
-which the least delay is looked for again: quartz clocks part by 6 ms in that time at most."""
+_STEP, _STEPPED = 0.1, 0.3
+"""Seconds by which a pose may come earlier or later than the least delayed one without a question
+about the clock, and seconds for which all poses must do so together for a clock that was set."""
+_LATEST, _MINUTE = 5.0, 60.0
+"""Seconds by which no pose comes after newer ones: beyond, the capture's clock has begun anew.
+Seconds after which the least delay is looked for again: quartz clocks part by 6 ms in that time at
+most."""
 _FARTHEST = 1e5
 """Metres beyond which a number is no position in a laboratory."""
+_UNIT = 0.05
+"""Difference of a quaternion's norm from 1 beyond which it is no attitude: some systems give a lost
+body zeros; numbers rounded to two digits differ by less."""
 CONNECT_TIMEOUT = 10.0
 """Seconds within which a laboratory's system must answer, which may be starting."""
 _MODULE = "swarm.ground.mocap_child"
@@ -101,12 +108,16 @@ def parse_frame(data: bytes) -> list[Pose]:
             poses.append(Pose(int(system), moment, (x, y, z), (qw, qx, qy, qz)))
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         return []
-    return [
-        pose
-        for pose in poses
-        if math.isfinite(moment)
-        and all(abs(x) < _FARTHEST for x in (*pose.position, *pose.attitude))
-    ]
+    return poses
+
+
+def is_possible(pose: Pose) -> bool:
+    """Return whether a pose can be that of a body in a laboratory, and be sent."""
+    return (
+        math.isfinite(pose.time)
+        and all(abs(x) < _FARTHEST for x in pose.position)
+        and abs(math.hypot(*pose.attitude) - 1.0) <= _UNIT
+    )
 
 
 class LaboratoryCapture:
@@ -197,10 +208,14 @@ class _Seen:
 class MocapBridge:
     """Sends each new pose to its vehicle, and an ``origin`` to vehicles that need one to arm.
 
+    Poses that no body can have are left out, as if the body had not been seen.
+
     Poses are stamped in the time of ``now``, that in which a ground station sends TIMESYNC: PX4
     takes poses for what they say by that clock, and rejects those from the future. ``_behind`` is
     that time less the capture's, least over the poses of a minute or two: of the pose that was
-    delayed least. Clocks part in hours, and the capture's may begin anew.
+    delayed least. Clocks part in hours, and the capture's may be set, or begin anew: then all poses
+    come early, or late although the capture's own time went back. ``_aside`` is 1 while poses are
+    late, -1 while they are early, since ``_since`` and by ``_least`` or more.
     With a ``sender``, system and component, packets have sequence numbers of their own.
     """
 
@@ -213,14 +228,19 @@ class MocapBridge:
     _behind: float = math.inf
     _coming: float = math.inf
     _minute: float = 0.0
+    _aside: int = 0
+    _since: float = 0.0
+    _least: float = math.inf
+    _went_back: bool = False
     _missed: tuple[int, ...] = ()
     _encoders: dict[tuple[Any, ...], Encoder] = field(default_factory=dict)
 
     def packets(self, now: float) -> Iterator[Outgoing]:
         """Yield the packets that are due at ``now``."""
-        for pose in self.capture.latest():
+        for pose in filter(is_possible, self.capture.latest()):
+            captured = self._captured(pose, now)
             self._note(pose, now)
-            yield from self.to_vehicle(pose.system, estimate(pose, self._captured(pose, now)))
+            yield from self.to_vehicle(pose.system, estimate(pose, captured))
         if now < self._next_origin:
             return
         self._next_origin = now + _ORIGIN_INTERVAL
@@ -230,14 +250,37 @@ class MocapBridge:
                 yield from self.to_vehicle(system, origin_message(system, self.origin))
 
     def _captured(self, pose: Pose, now: float) -> float:
-        """Return when a pose was captured, in the time of ``now``."""
+        """Return when a pose was captured, in the time of ``now``.
+
+        A single pose that is early or late moves no clock: the first was captured now at the
+        latest, the second long ago. Poses that are late in their order were delayed.
+        """
         behind = now - pose.time
-        if behind - self._behind > _LATEST:
-            self._behind = self._coming = behind
-        if now - self._minute > _MINUTE:
-            self._behind, self._coming, self._minute = self._coming, behind, now
-        self._behind, self._coming = min(self._behind, behind), min(self._coming, behind)
-        return pose.time + self._behind
+        late = behind - self._behind
+        before = self._seen.get(pose.system)
+        went_back = before is not None and pose.time < before.pose.time
+        if math.isinf(self._behind) or (went_back and late > _LATEST):
+            self._set_clock(behind, now)
+        elif self._stepped(behind, late, now, went_back=went_back):
+            self._set_clock(self._least, now)
+        elif self._aside >= 0:
+            if now - self._minute > _MINUTE:
+                self._behind, self._coming, self._minute = self._coming, behind, now
+            self._behind, self._coming = min(self._behind, behind), min(self._coming, behind)
+        return min(now, pose.time + self._behind)
+
+    def _set_clock(self, behind: float, now: float) -> None:
+        self._behind = self._coming = behind
+        self._minute, self._aside = now, 0
+
+    def _stepped(self, behind: float, late: float, now: float, *, went_back: bool) -> bool:
+        """Return whether poses have come so early or late for long enough: a clock was set."""
+        aside = 0 if abs(late) <= _STEP else 1 if late > 0.0 else -1
+        if aside != self._aside:
+            self._aside, self._since, self._least, self._went_back = aside, now, behind, False
+        self._least = min(self._least, behind)
+        self._went_back |= went_back
+        return now - self._since >= _STEPPED and (aside < 0 or (aside > 0 and self._went_back))
 
     def _note(self, pose: Pose, now: float) -> None:
         seen = self._seen.setdefault(pose.system, _Seen(pose, now))
@@ -290,7 +333,9 @@ class MocapBridge:
 
 def estimate(pose: Pose, at: float) -> Any:
     """Return a pose as VISION_POSITION_ESTIMATE of flight time ``at``: NED, FRD, radians."""
-    (east, north, up), (w, x, y, z) = pose.position, pose.attitude
+    east, north, up = pose.position
+    norm = math.hypot(*pose.attitude)
+    w, x, y, z = (value / norm for value in pose.attitude)
     roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     pitch = -math.asin(min(1.0, max(-1.0, 2.0 * (w * y - z * x))))
     yaw = 0.5 * math.pi - math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
