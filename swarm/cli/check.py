@@ -262,7 +262,7 @@ def _plan_finding(flight_plan: CertifiedPlan, fleet: Fleet | None) -> Finding:
 
 def _step_findings(flight_plan: CertifiedPlan, fleet: Fleet) -> list[Finding]:
     """Return a warning where a flight of the plan with cable would be refused."""
-    if not carries_cable(flight_plan, no_cable=fleet.gripper == "none"):
+    if not carries_cable(flight_plan, no_cable=False):
         return []
     missing = missing_steps(fleet, flight_plan.plan)
     if not missing:

@@ -6,6 +6,7 @@ verify`` enters a record again, or removes one that does not pass any more.
 """
 
 import json
+import math
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -19,11 +20,12 @@ from pydantic import TypeAdapter, ValidationError
 from swarm.errors import InputError, Problem, Refused, reason
 from swarm.files import read_text
 from swarm.flight.flight_plan import CableFreeFlight, FlightPlan, Kind
+from swarm.flight.setup import LOOSE_ERROR
 from swarm.ground.record_reader import recorded_facts, recorded_fleet, recorded_outcome
 from swarm.ground.record_verification import VerifiedRecord
 from swarm.mission.fleet import Fleet
 from swarm.mission.validation import LARGEST_FILE
-from swarm.planning import Plan
+from swarm.planning import PhaseName, Plan
 
 Step = Literal["hop", "no cable", "carry", "pass", "knot"]
 
@@ -37,9 +39,11 @@ STEPS: Final[Mapping[Step, tuple[str, str]]] = {
 """The first tests in their order: in words, and what flies them."""
 
 _WHOLE_TEAM: Final = frozenset({"hop", "no cable"})
-"""Steps that count for a knot only where as many vehicles flew them."""
+"""Steps that count for a flight only where as many vehicles flew them."""
 _COUNTED: Final[frozenset[Kind]] = frozenset({"certified", "hop", "raised"})
 """Kinds of flights that may pass a step: whole ones of checked plans."""
+_AS_CERTIFIED: Final[frozenset[PhaseName]] = frozenset({"fold", "hold"})
+"""Phases in which vehicles must follow as certified, without cable too."""
 
 
 @dataclass(frozen=True)
@@ -112,8 +116,7 @@ def missing_steps(fleet: Fleet, plan: Plan) -> list[Step]:
 
 
 def _suffices(row: PassedStep, plan: Plan) -> bool:
-    whole = _ties_knot(plan) and row.step in _WHOLE_TEAM
-    return row.vehicles >= plan.vehicles if whole else True
+    return row.vehicles >= plan.vehicles or row.step not in _WHOLE_TEAM
 
 
 def require_steps(
@@ -144,9 +147,9 @@ def require_steps(
 
 
 def words_of(step: Step, plan: Plan | None = None) -> str:
-    """Return a step in words, with what flies it; for a knot with the vehicles that it needs."""
+    """Return a step in words, with what flies it, and the vehicles that a plan needs in it."""
     what, how = STEPS[step]
-    if plan is not None and _ties_knot(plan) and step in _WHOLE_TEAM:
+    if plan is not None and step in _WHOLE_TEAM:
         what += f" of all {plan.vehicles} vehicles"
     return f"{what} ({how})" if how else what
 
@@ -191,11 +194,28 @@ def _passes(verified: VerifiedRecord) -> bool:
 
 
 def _followed(verified: VerifiedRecord) -> bool:
-    """Return whether the vehicles followed their setpoints as certified, without cable too."""
-    adherence, folding = verified.adherence, verified.verification.tracking
-    if adherence is None or adherence.certified is None or not adherence.within:
+    """Return whether all vehicles are known to have followed their setpoints.
+
+    In fold and hold as certified, without cable too; without cable in all other phases after
+    take-off to LOOSE_ERROR, or to the planned tracking error where that is larger.
+    """
+    adherence, basis, plan = verified.adherence, verified.basis, verified.plan
+    if basis is None or adherence is None or adherence.certified is None or not adherence.within:
         return False
-    return all(error.largest <= adherence.certified for error in folding if error.phase == "fold")
+    loose = max(adherence.planned, LOOSE_ERROR)
+    allowed: dict[str, float] = {
+        phase.name: adherence.certified if phase.name in _AS_CERTIFIED else loose
+        for phase in plan.phases
+        if phase.name in _AS_CERTIFIED or not (basis.cable or phase.name == "takeoff")
+    }
+    largest = {
+        (error.phase, error.vehicle): error.largest for error in verified.verification.tracking
+    }
+    return all(
+        largest.get((phase, vehicle), math.inf) <= limit
+        for phase, limit in allowed.items()
+        for vehicle in range(1, plan.vehicles + 1)
+    )
 
 
 def _read() -> list[PassedStep]:

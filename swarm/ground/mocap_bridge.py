@@ -7,7 +7,8 @@ ends. The bridge sends poses on the same sockets meanwhile, but only one process
 borrower does, and passes on copies. When it ends, however it ends, the bridge receives again.
 
 Two senders of poses for one vehicle would be worse than none. Whoever sends poses claims the links
-with a locked file in a folder of this account; links that are claimed are borrowed or refused.
+with a locked file in a folder of this account; links that are claimed are borrowed or refused. A
+vehicle that two bridges reach on links with different URLs, or from two machines, is not noticed.
 
 The bridge is no ground station: its packets have a system id of their own, and its heartbeats a
 type of their own, so that autopilots notice the loss of the ground station as without it (ArduPilot

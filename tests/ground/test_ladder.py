@@ -11,8 +11,10 @@ from rich.console import Console
 
 from swarm.cli.check import _step_findings
 from swarm.errors import InputError, Refused
+from swarm.flight.bench_flight import hop
 from swarm.ground import ladder
 from swarm.ground.fly import FlyOptions, fly
+from swarm.ground.hop import fly_hop
 from swarm.ground.ladder import (
     STEPS,
     PassedStep,
@@ -114,15 +116,38 @@ def test_a_record_passes_its_step_until_it_does_not_verify_any_more(flown):
         (flown / "summary.json").write_text(summary.replace('"done"', '"interrupted"', 1))
         assert enter(verify_record(flown)) is None
         (flown / "summary.json").write_text(summary)
-        far = replace(verified.verification.tracking[0], phase="fold", largest=0.9)
-        off = replace(verified.verification, tracking=(far,))
-        assert enter(replace(verified, verification=off)) is None
+        assert enter(with_errors(verified, "fold", 2, 0.9)) is None
+        assert enter(with_errors(verified, "hold", 2, 0.9)) is None
+        assert enter(with_errors(verified, "hold", 2, None)) is None
+        assert enter(verified) == row
         facts = json.loads((flown / "versions.json").read_text())
         (flown / "versions.json").write_text(json.dumps({**facts, "world_start": 0.0}))
         assert enter(verify_record(flown)) is None
     finally:
         for name, text in before.items():
             (flown / name).write_text(text)
+
+
+def with_errors(verified, phase, vehicle, largest):
+    """Replace the largest tracking error of a vehicle in a phase; None: no position was known."""
+    errors = verified.verification.tracking
+    (old,) = [error for error in errors if (error.phase, error.vehicle) == (phase, vehicle)]
+    new = [replace(old, largest=largest)] if largest is not None else []
+    others = [error for error in errors if error is not old]
+    return replace(verified, verification=replace(verified.verification, tracking=(*others, *new)))
+
+
+@pytest.mark.usefixtures("in_real_time")
+def test_a_hop_far_off_its_setpoints_is_not_passed(tmp_path):
+    plan, folder = small_plan("vehicles.tracking=0.25"), tmp_path / "hop"
+    fly_hop(hop(plan), plan, emulated_fleet(3), folder, speed=15.0)
+    as_real(folder)
+    verified = verify_record(folder)
+    assert verified.adherence.largest is None
+    for phase, largest in (("hold", 0.3), ("hold", None), ("land", 0.6), ("land", None)):
+        assert enter(with_errors(verified, phase, 3, largest)) is None
+    passed = with_errors(with_errors(verified, "land", 3, 0.4), "takeoff", 3, 1.4)
+    assert enter(passed).step == "hop"
 
 
 @pytest.mark.usefixtures("in_real_time")
@@ -152,8 +177,8 @@ def test_each_flight_with_cable_needs_the_steps_before_it():
     assert missing_steps(fleet, knotted()) == ["hop", "no cable", "carry", "pass"]
     entered(fleet, "hop", "no cable", "carry", vehicles=2)
     assert missing_steps(fleet, small_plan(vehicles=2).plan) == []
-    assert missing_steps(fleet, small_plan().plan) == []
-    # a knot needs the first two of all its vehicles
+    # the first two must be of all vehicles of the flight, with a knot and without
+    assert missing_steps(fleet, small_plan().plan) == ["hop", "no cable"]
     assert missing_steps(fleet, knotted()) == ["hop", "no cable", "pass"]
     entered(fleet, "hop", "no cable", "pass", vehicles=3)
     assert missing_steps(fleet, knotted()) == []
@@ -174,6 +199,7 @@ def test_cable_is_refused_and_may_be_skipped_only_in_words():
         require_steps(plan, fleet, no_cable=False, skip=False)
     for step in ("hop", "no cable", "carry"):
         assert STEPS[step][0] in str(refused.value)
+    assert f"{STEPS['hop'][0]} of all 3 vehicles (" in str(refused.value)
     assert STEPS["pass"][0] not in str(refused.value)
     skipped = require_steps(plan, fleet, no_cable=False, skip=True)
     assert skipped == ("hop", "no cable", "carry")
@@ -201,6 +227,8 @@ def test_the_check_lists_the_steps_with_record_and_date():
     (finding,) = _step_findings(small_plan(), fleet)
     assert finding.severity == "warning"
     assert "two vehicles carry one strand (first-steps/two_carry.yaml)" in finding.message
+    # swarm fly refuses it with any gripper
+    assert _step_findings(small_plan(), fleet.model_copy(update={"gripper": "none"})) == [finding]
     entered(fleet, "hop", "no cable", "carry")
     (finding,) = _step_findings(small_plan(), fleet)
     assert finding.severity == "info"
