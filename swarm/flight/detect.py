@@ -17,7 +17,7 @@ import numpy.typing as npt
 from swarm.flight import estimation
 from swarm.flight.estimation import Measured
 from swarm.flight.failures import Failure, FailureKind, Finding, HoldCause, Latch, Recovery
-from swarm.flight.grip_slip import INTERVAL, GripSlipDetector
+from swarm.flight.grip_slip import GripSlipDetector
 from swarm.flight.observation import Expected, Observation
 from swarm.flight.parameters import STREAM_LOSS_TIME
 from swarm.flight.router import answer_limit
@@ -223,10 +223,10 @@ class ReportDetector:
                     failure = None if known else failure
             case "rebooted":
                 failure = Failure(FailureKind.REBOOTED, f"{name} {event.message}", k)
-            case "heading" | "text warning" | "text error" if (
+            case "text warning" | "text error" if (
                 self._compass and flying and k not in expected.fallen
             ):
-                if event.kind == "heading" or _tells_of_heading(event.message):
+                if _tells_of_heading(event.message):
                     words = f"{name}: {event.message}"
                     failure = Failure(FailureKind.HEADING_DISAGREES, words, k)
             case "origin" if k not in expected.fallen:
@@ -489,14 +489,18 @@ BATTERY_LOW, BATTERY_CRITICAL = 0.2, 0.1
 
 
 class HealthDetector:
-    """Detects low batteries and lost positions; ``gps`` says whether vehicles need a GPS fix."""
+    """Detects low batteries, lost positions and unhealthy compasses.
 
-    def __init__(self, reported: Latch, *, gps: bool) -> None:
-        self._reported, self._gps = reported, gps
+    ``gps`` says whether vehicles need a GPS fix, ``compass`` whether headings come from one.
+    """
+
+    def __init__(self, reported: Latch, *, gps: bool, compass: bool) -> None:
+        self._reported, self._gps, self._compass = reported, gps, compass
 
     def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
-        """Return the failures of batteries and positions at this tick."""
-        suspect = (seen.battery <= BATTERY_LOW) | ~seen.position_healthy | seen.poor_fix
+        """Return the failures of batteries, positions and compasses at this tick."""
+        unhealthy = ~(seen.position_healthy & seen.compass_healthy)
+        suspect = (seen.battery <= BATTERY_LOW) | unhealthy | seen.poor_fix
         findings: list[Finding] = []
         for k in np.flatnonzero(suspect & expected.armed & ~expected.may_land).tolist():
             battery, name, once = float(seen.battery[k]), seen.names[k], self._reported.once
@@ -510,6 +514,9 @@ class HealthDetector:
                 findings += once(FailureKind.POSITION_LOST, k, f"{name} has no position estimate")
             if seen.poor_fix[k] and self._gps:
                 findings += once(FailureKind.FIX_LOST, k, f"{name} has lost its GPS fix")
+            if self._compass and not (seen.compass_healthy[k] or k in expected.fallen):
+                words = f"{name}'s compass is unhealthy"
+                findings += once(FailureKind.HEADING_DISAGREES, k, words)
         return findings
 
 
@@ -585,66 +592,50 @@ class HeightDetector:
 
 
 HEADING_OFF = 0.35
-"""Radians by which a heading must be off: 20°. That of recorded PX4 was off what it was to
-hold by 15° at most, and thrusts off motion by 4° in the emulator (docs/results/flights.md)."""
-_HEADING_TIME = 4.0
-"""Seconds in which compared thrusts are forgotten."""
-_LEAST_THRUST = 0.3
-"""Newtons, root mean square, of a horizontal thrust whose direction is compared."""
-_UNEXPLAINED = 0.3
-"""Share of the squared difference of thrusts that a turn may leave: a slip leaves all of it."""
+"""Radians by which a heading must be off what it is to hold: 20°. That of recorded PX4 was off by
+15° at most (docs/results/flights.md)."""
+_HEADING_SAMPLES = 2
+"""Successive attitudes that must be off: one alone lands no team. The autopilot turns back at once
+what it takes for its heading: of 40° within 0.25 s to half, with a gain of 2.8 1/s (PX4's
+MC_YAW_P). At 10 Hz two attitudes show that."""
 _UPRIGHT = 0.3
 """Radians of tilt up to which a heading is compared: beyond, a vehicle may turn over."""
 
 
 class HeadingDetector:
-    """Detects headings that are wrong: that leave the one held since the flight began, or by which
-    a vehicle would push elsewhere than it moves; ``leaning`` has thrusts by attitude and motion.
+    """Detects headings that leave the ones held since the flight began; counts samples.
 
-    Neighbours show the wind, which is the same for all: its part is not compared.
+    A pilot may turn a vehicle that is outside the team: from its return on, it is compared as soon
+    as its heading has come within the limit.
     """
 
-    def __init__(self, n: int, reported: Latch, leaning: GripSlipDetector) -> None:
-        self._reported, self._leaning = reported, leaning
+    def __init__(self, n: int, reported: Latch) -> None:
+        self._reported = reported
         self._held: Floats = np.full(n, np.nan)
-        self._sums = np.zeros((4, n))
-        self._compared: tuple[Floats, Floats] | None = None
+        self._compared = np.full(n, False)
+        self._sampled, self._off = np.full(n, -1.0), np.zeros(n)
 
     def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
         """Return the vehicles whose headings are wrong."""
         heading = seen.attitude[:, 2]
         unknown = np.isnan(self._held)
         self._held[unknown] = heading[unknown]
-        flies = expected.armed & expected.streaming & ~expected.may_land
-        tilt = np.abs(seen.attitude[:, :2]).max(axis=1)
         turned = (heading - self._held + math.pi) % (2.0 * math.pi) - math.pi
-        off = np.where(flies & (tilt < _UPRIGHT), turned, 0.0)
+        flies = expected.armed & expected.streaming & ~expected.may_land
+        flies[list(expected.rejoining)] = False
+        self._compared = flies & (self._compared | (np.abs(turned) <= HEADING_OFF))
+        upright = np.abs(seen.attitude[:, :2]).max(axis=1) < _UPRIGHT
+        off = self._compared & upright & (np.abs(turned) > HEADING_OFF)
+        fresh = seen.attitude_ms != self._sampled
+        self._sampled = seen.attitude_ms.copy()
+        self._off = np.where(off, self._off + fresh, 0.0)
         findings: list[Finding] = []
-        for how, angles in (("what it is to hold", off), ("its motion", self._by_thrust())):
-            for k in np.flatnonzero(np.abs(angles) > HEADING_OFF).tolist():
-                words = f"{seen.names[k]}'s heading is {math.degrees(angles[k]):+.0f}° off {how}"
-                if k not in expected.fallen:
-                    findings += self._reported.once(FailureKind.HEADING_DISAGREES, k, words)
+        for k in np.flatnonzero(self._off >= _HEADING_SAMPLES).tolist():
+            degrees = math.degrees(turned[k])
+            words = f"{seen.names[k]}'s heading is {degrees:+.0f}° off what it is to hold"
+            if k not in expected.fallen:
+                findings += self._reported.once(FailureKind.HEADING_DISAGREES, k, words)
         return findings
-
-    def _by_thrust(self) -> Floats:
-        """Return the angles (n,) from thrusts by motion to those by attitude, clockwise, where a
-        turn explains their differences; 0 elsewhere."""
-        if self._leaning.thrusts is self._compared:
-            return np.zeros(len(self._held))
-        self._compared = self._leaning.thrusts
-        if self._compared is None:
-            self._sums[:] = 0.0
-            return np.zeros(len(self._held))
-        (x, y), (u, v) = (thrust.T for thrust in self._compared)
-        products = np.array([x * u + y * v, x * v - y * u, x * x + y * y, u * u + v * v])
-        self._sums += (INTERVAL / _HEADING_TIME) * (products - self._sums)
-        along, across, by_attitude, by_motion = self._sums
-        differs = by_attitude + by_motion - 2.0 * along
-        unexplained = by_attitude + by_motion - 2.0 * np.hypot(along, across)
-        clear = (by_motion > _LEAST_THRUST**2) & (unexplained < _UNEXPLAINED * differs)
-        angles: Floats = np.where(clear, np.arctan2(across, along), 0.0)
-        return angles
 
 
 class TrackingDetector:
@@ -708,7 +699,8 @@ class Detectors:
         reported, n = Latch(), plan.vehicles
         carried = setup.carries_cable and not options.open_loop
         paced = not options.open_loop and options.error_limit is None
-        self.reports = ReportDetector(compass=fleet.frame != "shared")
+        compass = fleet.frame != "shared"
+        self.reports = ReportDetector(compass=compass)
         self.station = StationDetector()
         self.motion = MotionDetector(n, reported, cable=setup.carries_cable)
         self.heights = HeightDetector(n, reported)
@@ -717,11 +709,11 @@ class Detectors:
         self.each_tick: tuple[tuple[frozenset[Stage], Detector], ...] = (
             (IN_FLIGHT, LinkDetector(fleet.limits, reported)),
             (IN_FLIGHT, self.motion),
-            (IN_FLIGHT, HealthDetector(reported, gps=fleet.frame == "gps")),
+            (IN_FLIGHT, HealthDetector(reported, gps=fleet.frame == "gps", compass=compass)),
             (IN_FLIGHT, self.heights),
             (ON_PLAN, self.station),
             (ON_PLAN, self.grip_slip),
-            (IN_FLIGHT, HeadingDetector(n, reported, self.grip_slip)),
+            (IN_FLIGHT, HeadingDetector(n, reported)),
             (ON_PLAN, TrackingDetector(options.error_limit, plan.mission.clearance.vehicle)),
             (ON_PLAN, self.hold_timeout),
             (ON_PLAN, StandstillDetector(enabled=paced)),

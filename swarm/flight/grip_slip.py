@@ -79,8 +79,6 @@ class GripSlipDetector:
     """Compares the cable's horizontal pull on n vehicles, from attitudes, with the cable model.
 
     ``enabled`` is false where no cable is carried, or vehicles do not follow the plan's pace.
-    ``thrusts`` are the horizontal parts (n, 2) of the thrusts in the last window, by attitudes and
-    by motion; None where they are not comparable.
     """
 
     def __init__(self, plan: Plan, reported: Latch, *, enabled: bool) -> None:
@@ -93,7 +91,6 @@ class GripSlipDetector:
         self._bias: Floats | None = None
         self._moved = self._dragged = 0.0
         self._suspect, self._score = -1, 0
-        self.thrusts: tuple[Floats, Floats] | None = None
         self._rates: deque[float] = deque(maxlen=_RATES)
         self._next = 0.0
 
@@ -123,7 +120,7 @@ class GripSlipDetector:
     def reset(self) -> None:
         """Begin again: the loads were not comparable."""
         self._samples.clear()
-        self._bias = self.thrusts = None
+        self._bias = None
         self._score = 0
 
     def evaluate(self, now: float, attitude: Floats, velocity: Floats, grips: Floats) -> int | None:
@@ -150,8 +147,6 @@ class GripSlipDetector:
         before = residual + self._drag * moving if self._bias is None else self._bias
         residual = self._without_drag(residual, moving, before)
         self._bias = before + (residual - before) * (INTERVAL / BIAS_TIME)
-        reported = mean - held.pull[:, :2]
-        self.thrusts = reported, reported + residual - self._bias
         who, score = self._match(residual - self._bias, held)
         self._score = self._score + score if who == self._suspect else score
         self._suspect = -1 if who is None else who

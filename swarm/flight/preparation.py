@@ -73,6 +73,8 @@ def problems_of(vehicle: Vehicle, fleet: Fleet, now: float) -> list[tuple[str, s
         problems.append(("origin", "its estimator's origin is unknown"))
     if vehicle.autopilot.ready_in_offboard_only and not vehicle.in_mode("offboard"):
         problems.append(("mode", f"is in {vehicle.mode}, not guided"))
+    if fleet.frame != "shared" and not vehicle.compass_healthy:
+        problems.append(("compass", "its compass is unhealthy"))
     if vehicle.ready is False and not decided_in_offboard(vehicle, fleet):
         said = vehicle.recent_warnings(now, within=30.0)
         problems.append(("ready", "not ready to arm" + (f" ({said})" if said else "")))

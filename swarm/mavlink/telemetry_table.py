@@ -141,6 +141,7 @@ class Reports:
     mode_at = _number(-math.inf)
     battery = _number()
     position_healthy = _flag(1.0)
+    compass_healthy = _flag(1.0)
     fix_type = _whole(-1.0)
     height_difference = _number()
     vertical_accuracy = _number()

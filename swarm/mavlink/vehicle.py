@@ -67,8 +67,8 @@ class VehicleEvent:
     """An event of a vehicle.
 
     ``kind`` is one of discovered, armed, disarmed, mode, landed, airborne, text, text warning, text
-    error (by its severity), origin, heading, rebooted, done, failed; ``subject`` is the name of the
-    command or mode.
+    error (by its severity), origin, rebooted, done, failed; ``subject`` is the name of the command
+    or mode.
     """
 
     kind: str
@@ -89,7 +89,8 @@ class Vehicle(Reports, ReportedMotion):
     - ``telemetry``, ``row``: the table with the frequent values, and this vehicle's row in it.
     - ``asked_at``: when the first clock request was sent that has not been answered; infinite
       without any, or where the vehicle has never answered one.
-    - ``position_healthy``: False if SYS_STATUS reports an unhealthy position estimate.
+    - ``position_healthy``, ``compass_healthy``: False if SYS_STATUS reports an unhealthy position
+      estimate, or a compass that is used and unhealthy.
     - ``height_difference``: satellite altitude minus altitude of the local position, averaged;
       ``height_average`` holds when the average began, its latest sample, and its value.
     - ``origin_mismatches``: consecutive samples in which global and local position disagree.
@@ -115,7 +116,6 @@ class Vehicle(Reports, ReportedMotion):
     global_position: Origin | None = None
     voltage: float = math.nan
     ready: bool | None = None
-    compass_healthy: bool = True
     satellites: int = -1
     gps_time: int = -1
     horizontal_accuracy: float = math.nan
@@ -587,10 +587,7 @@ def _system_status(vehicle: Vehicle, message: Message, _now: float) -> None:
     vehicle.voltage = message.voltage_battery / 1000.0
     enabled = message.onboard_control_sensors_enabled & _POSITION_SENSORS
     vehicle.position_healthy = not enabled & ~message.onboard_control_sensors_health
-    compass = not message.onboard_control_sensors_enabled & ~health & _COMPASS
-    if vehicle.compass_healthy and not compass:
-        vehicle.report("heading", "its compass is unhealthy")
-    vehicle.compass_healthy = compass
+    vehicle.compass_healthy = not message.onboard_control_sensors_enabled & ~health & _COMPASS
     autopilot = vehicle.autopilot
     health_only = autopilot is not None and not autopilot.lists_prearm_as_present
     if health_only or message.onboard_control_sensors_present & _PREARM:

@@ -43,8 +43,8 @@ def seen(now=10.0, at=None, position=PLACES, velocity=None, boot=None, **fields)
     table = np.zeros((3, WIDTH))
     values = {
         "received_at": now, "asked_at": np.inf, "position_at": now, "mode_at": now, "attitude": 0.0,
-        "battery": 0.9, "position_healthy": True, "fix_type": 3, "height_difference": 0.0,
-        "vertical_accuracy": 0.1, "gripped": True, "armed": True,
+        "battery": 0.9, "position_healthy": True, "compass_healthy": True, "fix_type": 3,
+        "height_difference": 0.0, "vertical_accuracy": 0.1, "gripped": True, "armed": True,
     }  # fmt: skip
     for name, value in (values | fields).items():
         table[:, getattr(Observation, name).columns] = value
@@ -69,7 +69,7 @@ def kinds(found) -> list[FailureKind]:
 
 def test_a_calm_team_shows_no_failure():
     detectors = (
-        LinkDetector(LIMITS, Latch()), MotionDetector(3, Latch(), cable=True), HealthDetector(Latch(), gps=True),
+        LinkDetector(LIMITS, Latch()), MotionDetector(3, Latch(), cable=True), HealthDetector(Latch(), gps=True, compass=True),
         TrackingDetector(1.0, 1.0), HoldTimeoutDetector(10.0), StandstillDetector(enabled=True),
     )  # fmt: skip
     for now in (10.0, 10.1, 10.2):
