@@ -241,6 +241,7 @@ workspace:
     - {name: net, shape: half-space, point: [0, 1, 3], normal: [0, 0, 0]}
     - {name: high, shape: box, centre: [0, 1], size: [1, 1], bottom: 3, top: 2}
     - {shape: cylinder, centre: [1e9, 1], radius: 1, top: 2}
+    - {name: roof, shape: half-space, point: [0, 1, 3], normal: [1e-200, 0, 0]}
 """
 
 
@@ -256,11 +257,12 @@ def test_wrong_obstacles_are_reported_with_their_names() -> None:
         f"m.yaml:10: {at}.3.shape (post): expected this key (Its shape.), got nothing; for example: "
         "shape: box",
         f"m.yaml:11: {at}.4: expected a mapping of keys, got 5",
-        f"m.yaml:12: {at}.5 (net): expected a normal that is not 0, 0, 0",
+        f"m.yaml:12: {at}.5.normal (net): expected a normal of length >= 1e-06, got 0, 0, 0",
         f"m.yaml:13: {at}.6 (high): expected top > bottom, got 2 and 3",
         f"m.yaml:14: {at}.7.name: expected this key (Name of the obstacle in messages and "
         "pictures.), got nothing; for example: name: table",
         f"m.yaml:14: {at}.7.centre.0: expected a number <= 10000, got 1000000000.0",
+        f"m.yaml:15: {at}.8.normal (roof): expected a normal of length >= 1e-06, got 1e-200, 0, 0",
     ]
 
 

@@ -79,7 +79,7 @@ class ContingencyWindows:
         return float(moments[np.argmin(np.abs(moments - time))])
 
     def can_release(self, time: float) -> bool:
-        """Whether all vehicles can release at a time: at the moments on both sides of it."""
+        """Whether all vehicles can release, move apart and land, at the moments beside a time."""
         return self._open(self.release, time)
 
     def may_fall(self, time: float) -> bool:

@@ -60,7 +60,7 @@ def may_release(flight: FlightState) -> bool:
 
     Such vehicles stopped by themselves, the others along the path: some decimetres apart.
     """
-    if not flight.setup.windows.can_release(flight.clock.time):
+    if not flight.setup.windows.may_fall(flight.clock.time):
         return False
     return not not_following(flight) or bool(rotors_clear(flight.setup.plan, _places(flight))[0])
 
@@ -198,15 +198,19 @@ def stays_above(flight: FlightState) -> Vehicle | None:
 
 
 def nearest_open(flight: FlightState, response: Response) -> float | None:
-    """Return the mission time at which a response is open, nearest to where the clock can stop."""
+    """Return the mission time at which a response is open, nearest to where the clock can stop.
+
+    Where no release is clear of obstacles, one that drops no cable on a rotor.
+    """
     windows_, clock, gates = flight.setup.windows, flight.clock, flight.setup.gates
-    flags = windows_.land if response is Response.LAND else windows_.release
+    choices = [windows_.land] if response is Response.LAND else [windows_.release, windows_.falls]
     gate = flight.progress.gate
     gate_before = gates[gate - 1].time if gate else 0.0
     gate_after = gates[gate].time if gate < len(gates) else flight.setup.plan.duration
     stopping = 0.5 * clock.rate * abs(clock.rate) / clock.steepest
     moment = min(max(clock.time + stopping, gate_before), gate_after)
-    return windows_.nearest(flags, moment, rewind_end(flight), gate_after)
+    moments = (windows_.nearest(each, moment, rewind_end(flight), gate_after) for each in choices)
+    return next((each for each in moments if each is not None), None)
 
 
 def unanswering(flight: FlightState) -> list[Vehicle]:
@@ -308,8 +312,9 @@ def leave_the_plan(
     """Begin a contingency; before the flight, end it.
 
     ``move`` says whether the team may move along the plan first (None: LAND and RELEASE do). Only a
-    team whose vehicles all follow moves: where it can neither land nor release as it stands, those
-    that left offboard mode are asked to return. ``announced`` replaces the usual words.
+    team whose vehicles all follow moves: where it can neither land nor release as it stands, and
+    keep clear of obstacles, those that left offboard mode are asked to return. ``announced``
+    replaces the usual words.
     """
     if flight.stage in {Stage.PREPARE, Stage.READY}:
         flight.finish("interrupted", message)
@@ -319,7 +324,9 @@ def leave_the_plan(
     flight.progress.waiting = flight.progress.rewinding = False
     flight.change_stage(Trigger.LEAVE_PLAN)
     moves = response in {Response.LAND, Response.RELEASE} if move is None else move
-    if moves and flight.attached and windows(flight) is Windows.NEITHER:
+    planned, time = flight.setup.windows, flight.clock.time
+    closed = not (planned.can_land(time) or planned.can_release(time))
+    if moves and flight.attached and (closed or windows(flight) is Windows.NEITHER):
         for k in outside(flight):
             flight.begin_rejoining(k)
     here = response is Response.RELEASE_HERE
@@ -546,7 +553,8 @@ def _begin_separation(flight: FlightState) -> None:
         centre, spread = start[stays], setup.separations.at(flight.clock.time, stays)
     else:
         centre, spread = start.mean(axis=0), spread_here(start, mission)
-    flight.guidance.follow(separation_motion(start, centre, spread, mission), flight.timing.moving)
+    motion = separation_motion(start, centre, spread, mission, streams.active)
+    flight.guidance.follow(motion, flight.timing.moving)
     contingency_of(flight).change_step(StepTrigger.RELEASED, flight.now)
 
 

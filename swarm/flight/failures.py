@@ -31,9 +31,10 @@ class Response(StrEnum):
     REPORT: go on. HOLD: stop the clock until the failure ends, or for the fleet's T at most. LAND:
     move along the plan to the nearest moment at which all can land, and land together. LAND_HERE:
     the same without moving; a team that has left the plan, and still moves along it, stops.
-    RELEASE: move to the nearest moment at which no cable hangs above a rotor, release, separate,
-    land. RELEASE_HERE: the same without moving. RELEASE_FALLEN: release at the fallen vehicle
-    first, then beside it, then everywhere; the others separate and land.
+    RELEASE: move to the nearest moment at which no cable hangs above a rotor and no obstacle is
+    above or below a vehicle, release, separate, land. RELEASE_HERE: without moving, where no cable
+    hangs above a rotor. RELEASE_FALLEN: release at the fallen vehicle first, then beside it, then
+    everywhere; the others separate and land.
     """
 
     REPORT = "report"

@@ -146,7 +146,11 @@ def _rewind(flight: FlightState) -> Availability:
 def _land(flight: FlightState) -> Availability:
     if flight.setup.windows.can_land(flight.clock.time):
         return Availability(True, "all descend straight down together, here")
-    return Availability(True, "a vehicle is above another: moves to where all can land, then lands")
+    obstacles = flight.setup.plan.mission.workspace.obstacles
+    obstacle = ", or an obstacle is below" if obstacles else ""
+    return Availability(
+        True, f"a vehicle is above another{obstacle}: moves to where all can land, then lands"
+    )
 
 
 def _release(flight: FlightState) -> Availability:
@@ -154,6 +158,12 @@ def _release(flight: FlightState) -> Availability:
         return Availability(False, "no vehicle holds the cable")
     if flight.setup.windows.can_release(flight.clock.time):
         return Availability(True, "releases the cable, separates upwards and lands")
+    if flight.setup.windows.may_fall(flight.clock.time):
+        return Availability(
+            True,
+            "an obstacle is above or below a vehicle: moves to where none is, if the plan "
+            "has such a place, then releases",
+        )
     return Availability(
         True, "cable hangs above a vehicle: moves to where none does, then releases"
     )
@@ -170,8 +180,10 @@ def _rejoin(flight: FlightState) -> Availability:
 
 
 def _abort(flight: FlightState) -> Availability:
-    if flight.attached and flight.setup.windows.can_release(flight.clock.time):
-        return Availability(True, "releases the cable here, separates upwards and lands")
+    if flight.attached and flight.setup.windows.may_fall(flight.clock.time):
+        near = not flight.setup.windows.can_release(flight.clock.time)
+        separates = "separates as far as obstacles allow" if near else "separates upwards"
+        return Availability(True, f"releases the cable here, {separates} and lands")
     return Availability(True, "all descend straight down together, here")
 
 
@@ -192,7 +204,7 @@ def _do_rewind(flight: FlightState) -> None:
 
 def _do_abort(flight: FlightState) -> None:
     """Choose the quickest end that drops no cable on a rotor."""
-    release = flight.attached and flight.setup.windows.can_release(flight.clock.time)
+    release = flight.attached and flight.setup.windows.may_fall(flight.clock.time)
     response = Response.RELEASE if release else Response.LAND_HERE
     leave_the_plan(flight, response, "operator command: abort", move=False)
 

@@ -3,10 +3,11 @@
 Computed with the plan, for every moment and every vehicle. After the release of the cable, the
 remaining vehicles move radially away from the point where the failed vehicle falls, each in
 proportion to its distance from there, and climb. Therefore no distance between them decreases, and
-no vehicle comes below the falling one.
+no vehicle comes below the falling one. Where obstacles are in the way, they climb or move less.
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -78,37 +79,53 @@ def solo_landing_distance(mission: Mission) -> float:
 
 def spread_here(start: Floats, mission: Mission) -> float:
     """Return the factor by which distances of vehicles at ``start`` (n, 3) grow, all alike."""
-    first, second = np.triu_indices(len(start), 1)
-    level = np.linalg.norm(start[first, :2] - start[second, :2], axis=1)
-    nearest = max(float(level.min(initial=np.inf)), 1e-3)
+    nearest = max(_smallest_distance(start), 1e-3)
     return float(np.clip(solo_landing_distance(mission) / nearest, 1.0, MOST_SPREAD))
 
 
-def separation_motion(start: Floats, centre: Floats, spread: float, mission: Mission) -> Motion:
+def separation_motion(
+    start: Floats, centre: Floats, spread: float, mission: Mission, follows: Flags
+) -> Motion:
     """Return the motion (n vehicles) from rest at ``start`` (n, 3) apart and up, ENU metres.
 
     ``centre`` (3,) is the position of the failed vehicle, from which all others move away: by less
-    than ``spread`` where an obstacle is in the way or below.
+    than ``spread``, or without climbing, where the ways of vehicles that follow setpoints,
+    ``follows`` (n,), or their descents would be too near an obstacle. Where no descent is clear,
+    only the ways are; where no way is, all stay at ``start``.
     """
-    for tried in np.linspace(spread, 1.0, _SPREADS):
+    spreads = np.linspace(spread, 1.0, _SPREADS)
+    for descends, up, tried in product((True, False), (UP, 0.0), spreads):
         end = centre + (start - centre) * tried
-        end[:, 2] = start[:, 2] + UP
-        if _clear(start, end, mission):
+        end[:, 2] = start[:, 2] + up
+        clear = _ways_clear(start[follows], end[follows], mission)
+        if clear and (not descends or _can_descend(end[follows], mission)):
             break
     vehicles = mission.vehicles
     thrust = vehicles.max_acceleration - vehicles.braking_acceleration
     return leg(start, end, SHARE_OF_SPEED * vehicles.max_speed, SHARE_OF_SPEED * thrust)
 
 
-def _clear(start: Floats, end: Floats, mission: Mission) -> bool:
-    """Return whether straight ways (n, 3), and the descents after them, keep clear of obstacles."""
+def _ways_clear(start: Floats, end: Floats, mission: Mission) -> bool:
+    """Return whether straight ways (n, 3) keep clear of obstacles."""
     vehicles = mission.vehicles
     solids = grown(obstacles_of(mission), vehicles.radius, vehicles.grip_offset)
     ways = np.repeat(np.stack([start, end], axis=1), len(solids), axis=0)
     normal, wall = planes_between(np.tile(solids, (len(start), 1)), ways)
     apart = np.einsum("bki,bi->bk", ways, normal).min(axis=1) - wall
-    beside = np.all(apart >= mission.clearance.obstacle + vehicles.tracking)
-    return bool(beside and clear_below(mission, end[None])[0])
+    return bool(np.all(apart >= mission.clearance.obstacle + vehicles.tracking))
+
+
+def _can_descend(end: Floats, mission: Mission) -> bool:
+    """Return whether vehicles (n, 3) that descend touch neither each other nor an obstacle."""
+    beside = _smallest_distance(end) >= 2.0 * (mission.vehicles.radius + mission.vehicles.tracking)
+    return beside and bool(clear_below(mission, end[None])[0])
+
+
+def _smallest_distance(position: Floats) -> float:
+    """Return the smallest horizontal distance among vehicles (n, 3)."""
+    first, second = np.triu_indices(len(position), 1)
+    level = np.linalg.norm(position[first, :2] - position[second, :2], axis=1)
+    return float(level.min(initial=np.inf))
 
 
 def _smallest_distances(horizontal: Floats, others: Flags) -> Floats:

@@ -5,6 +5,7 @@ Codes of knots are lists, or text with brackets, commas and spaces. What cannot 
 unchanged; the validation of the key reports it.
 """
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal, Self
@@ -14,6 +15,7 @@ from pydantic import (
     Field,
     SerializerFunctionWrapHandler,
     StringConstraints,
+    field_validator,
     model_serializer,
     model_validator,
 )
@@ -94,6 +96,9 @@ LARGEST_TRACKING = 5.0
 
 _FARTHEST = 10_000.0
 """Largest coordinate in metres: farther away than an operator sees a vehicle."""
+
+_SHORTEST_NORMAL = 1e-6
+"""Least length of a direction, whose square divides numbers without loss."""
 
 Positive = Annotated[float, Field(strict=True, gt=0, le=_LARGEST_SIZE)]
 NotNegative = Annotated[float, Field(strict=True, ge=0, le=_LARGEST_SIZE)]
@@ -437,14 +442,18 @@ class HalfSpaceObstacle(_Obstacle):
     shape: Literal["half-space"] = Field(description="Its shape.")
     point: Point3 = Field(description="A point x, y, z of the plane in metres.")
     normal: Point3 = Field(
-        description="Direction x, y, z from the plane to the free side, of any length."
+        description="Direction x, y, z from the plane to the free side, of any length >= 1e-6."
     )
 
-    @model_validator(mode="after")
-    def _directed(self) -> Self:
-        if not any(self.normal):
-            raise ValueError("expected a normal that is not 0, 0, 0")
-        return self
+    @field_validator("normal")
+    @classmethod
+    def _directed(cls, normal: Point3) -> Point3:
+        if math.hypot(*normal) < _SHORTEST_NORMAL:
+            x, y, z = normal
+            raise ValueError(
+                f"expected a normal of length >= {_SHORTEST_NORMAL:g}, got {x:g}, {y:g}, {z:g}"
+            )
+        return normal
 
 
 Obstacle = Annotated[

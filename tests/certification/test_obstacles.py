@@ -247,6 +247,10 @@ def test_nobody_lands_on_a_table():
     assert not found.release[over < 0.5 + 0.25].any()
 
 
+FOLLOW = np.array([False, True, True])
+"""The first of three vehicles has fallen."""
+
+
 @pytest.mark.parametrize("height", [0.75, 7.0])
 def test_a_team_separates_as_far_as_obstacles_allow(height):
     """A table, or a wall, 2.5 m beside a team of three."""
@@ -256,7 +260,7 @@ def test_a_team_separates_as_far_as_obstacles_allow(height):
     still = moving([0.0, 1.0], [start, start])
     free = beside(still, obstacles=[]).mission
     mission = beside(still, obstacles=[table]).mission
-    apart, near = (separation_motion(start, start[0], 3.0, one) for one in (free, mission))
+    apart, near = (separation_motion(start, start[0], 3.0, one, FOLLOW) for one in (free, mission))
     assert apart.at(apart.times[-1])[0][1] == pytest.approx([4.5, 0.0, 5.0 + UP])
     end = near.at(near.times[-1])[0]
     needed = mission.vehicles.radius + mission.clearance.obstacle + TRACKING
@@ -266,6 +270,57 @@ def test_a_team_separates_as_far_as_obstacles_allow(height):
     falls = end * np.array([1.0, 1.0, 0.0]) + np.linspace(0.0, 6.0, 40)[:, None, None] * [0, 0, 1.0]
     vehicles = [from_obstacle(table, each[:, :, None] + body(mission)) for each in (ways, falls)]
     assert min(each.min() for each in vehicles) >= CLEARANCE + TRACKING - 1e-9
+
+
+def separated(start, obstacle, spread):
+    """The mission, and where three vehicles are while they separate, from the first to the last."""
+    still = moving([0.0, 1.0], [start, start])
+    mission = beside(still, obstacles=[obstacle]).mission
+    motion = separation_motion(start, start[0], spread, mission, FOLLOW)
+    return mission, motion.at(np.linspace(motion.times[0], motion.times[-1], 50))[0]
+
+
+@pytest.mark.parametrize("size", [3.0, 40.0])
+def test_a_team_below_an_obstacle_does_not_climb_into_it(size):
+    """0.3 m above the rotors; the vehicles move apart at their height."""
+    start = np.array([[0.0, 0.0, 5.0], [1.5, 0.0, 5.0], [0.0, 1.5, 5.0]])
+    roof = {"name": "roof", "shape": "box", "centre": [0.0, 0.0], "size": [size, size],
+            "bottom": 5.9, "top": 6.9}  # fmt: skip
+    for spread in (1.0, 3.0):
+        mission, ways = separated(start, roof, spread)
+        bodies = from_obstacle(roof, ways[:, FOLLOW, None] + body(mission))
+        assert bodies.min() >= CLEARANCE + TRACKING - 1e-9
+        assert ways[-1, 1] == pytest.approx([1.5 * spread, 0.0, 5.0])
+
+
+def test_a_team_that_has_no_clear_way_stays_where_it_is():
+    """A net is nearer above a team than it must be, as where a team has left its plan."""
+    start = np.array([[0.0, 0.0, 5.0], [1.5, 0.0, 5.0], [0.0, 1.5, 5.0]])
+    roof = {"name": "net", "shape": "half-space", "point": [0.0, 0.0, 5.8], "normal": [0, 0, -1.0]}
+    _, ways = separated(start, roof, 3.0)
+    assert ways == pytest.approx(np.broadcast_to(start, ways.shape))
+
+
+@pytest.mark.parametrize(
+    ("centre", "size", "apart"),
+    [
+        ([0.0, 0.0], [0.5, 0.5], 1.6),
+        ([2.0, 0.0], [9.0, 9.0], 1.6),
+        ([4.0, 0.0], [2.5, 9.0], 0.8),
+        ([4.0, 0.0], [3.6, 9.0], 1.6),
+    ],
+)
+def test_vehicles_that_are_near_each_other_move_apart_above_a_table(centre, size, apart):
+    """Two vehicles 0.4 m apart, which need 0.66 m to descend.
+
+    The table is below the fallen one; below all; farther away, with room to descend before it; so
+    near that there is none.
+    """
+    start = np.array([[0.0, 0.0, 5.0], [1.0, 0.0, 5.0], [1.0, 0.4, 7.0]])
+    table = {"name": "table", "shape": "box", "centre": centre, "size": size, "top": 0.75}
+    _, ways = separated(start, table, 4.0)
+    assert np.linalg.norm(ways[-1, 1, :2] - ways[-1, 2, :2]) == pytest.approx(apart)
+    assert ways[-1, 1:, 2] == pytest.approx(start[1:, 2] + UP)
 
 
 def test_a_plan_is_refused_with_the_obstacle_its_place_and_time():

@@ -351,7 +351,7 @@ def moving_to_a_landing(
     time = np.arange(0.0, PLAN.plan.duration, 0.25)
     state = flight.conductor.state
     later = time > start + 6.0
-    windows = ContingencyWindows(time, later, later | releasable, later)
+    windows = ContingencyWindows(time, later, later | releasable, later | releasable)
     state.setup = replace(state.setup, windows=windows)
     if after is not None:
         flight.emulator.inject(
@@ -471,7 +471,8 @@ def test_a_strand_that_is_caught_while_the_team_descends_is_released(team):
     flight.emulator.inject(Fault.model_validate(snag))
     state = flight.conductor.state
     never = np.zeros_like(state.setup.windows.release)
-    state.setup = replace(state.setup, windows=replace(state.setup.windows, release=never))
+    windows = replace(state.setup.windows, release=never, falls=never)
+    state.setup = replace(state.setup, windows=windows)
     while flight.conductor.finished is None:
         flight.step()
     (released,) = [event.message for event in flight.events if event.kind == "release"]

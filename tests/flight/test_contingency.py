@@ -14,13 +14,13 @@ from tests.network import small_plan
 PLAN = small_plan(vehicles=3)
 
 
-def may_release(off, *, streaming=False, dead=(), can_release=True):
+def may_release(off, *, streaming=False, dead=(), may_fall=True):
     """Whether all may let go where the second of three vehicles is ``off`` its place."""
     time = PLAN.plan.phase("fold").start + 1.0
     setpoint = PLAN.plan.motion.at(time)[0]
     position = setpoint.copy()
     position[1] += off
-    windows = SimpleNamespace(can_release=lambda _: can_release)
+    windows = SimpleNamespace(may_fall=lambda _: may_fall)
     active = np.array([True, streaming, True])
     flight = SimpleNamespace(
         setup=SimpleNamespace(plan=PLAN.plan, windows=windows),
@@ -45,7 +45,7 @@ def test_no_release_while_cable_would_fall_on_a_vehicle_that_does_not_follow():
     # one that follows is where the plan has it but for its tracking, and one that falls is let go of
     assert may_release(below, streaming=True)
     assert may_release(below, dead=[1])
-    assert not may_release(np.zeros(3), can_release=False)
+    assert not may_release(np.zeros(3), may_fall=False)
 
 
 def test_what_is_wrong_with_many_vehicles_is_refused_in_one_line_each():

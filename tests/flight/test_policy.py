@@ -26,7 +26,7 @@ from swarm.flight.failures import (
     Windows,
     response_rows,
 )
-from swarm.flight.responding import respond
+from swarm.flight.responding import available, request, respond
 from swarm.flight.stages import Stage, Step
 from swarm.flight.state import FlightState, Timing
 from swarm.simulation.stepped_simulation import branch, lasting
@@ -223,6 +223,52 @@ def test_a_team_on_its_way_to_a_release_that_must_stop_drops_no_cable_on_a_rotor
         open_ = windows in {Windows.BOTH, Windows.RELEASE}
         assert flight.contingency.step is (Step.RELEASE if open_ else Step.DESCEND)
         assert bool(opened(flight)) == open_
+
+
+def beside_an_obstacle(conductor) -> FlightState:
+    """A team where cable falls on no rotor, but an obstacle is below at every moment."""
+    flight = standing(conductor, Windows.NEITHER, Stage.EXECUTE)
+    windows = flight.setup.windows
+    windows = replace(windows, falls=np.ones_like(windows.falls))
+    flight.setup = replace(flight.setup, windows=windows)
+    return flight
+
+
+@pytest.mark.parametrize(
+    "kind", [FailureKind.FALLING, FailureKind.POSITION_LOST, FailureKind.BATTERY_CRITICAL]
+)
+def test_an_obstacle_below_keeps_no_cable_on_a_team_that_cannot_land(folding, kind):
+    flight = beside_an_obstacle(folding)
+    respond(flight, Failure(kind, WORDS, VICTIM))
+    come_to_rest(flight)
+    releases(
+        flight, Cell(kind, Stage.EXECUTE, Windows.RELEASE, kind.responses.execute, End.RELEASE)
+    )
+
+
+def test_commands_beside_an_obstacle_say_so_and_release(folding):
+    flight = beside_an_obstacle(folding)
+    effects = available(flight)
+    assert effects["release"].words.startswith("an obstacle is above or below a vehicle: moves to")
+    words = "releases the cable here, separates as far as obstacles allow and lands"
+    assert effects["abort"].words == words
+    request(flight, "abort")
+    come_to_rest(flight)
+    assert opened(flight) == {VICTIM, *NEIGHBOURS, *FAR}
+
+
+def test_a_release_moves_to_where_no_obstacle_is_or_else_to_where_cable_falls_on_no_rotor(folding):
+    flight = beside_an_obstacle(folding)
+    windows, now = flight.setup.windows, flight.clock.time
+    falls = windows.time > now + 1.0
+    for clear, expected in (
+        (falls & (windows.time > now + 2.0), now + 2.0),
+        (~falls & falls, now + 1.0),
+    ):
+        changed = replace(windows, release=clear, falls=falls)
+        flight.setup = replace(flight.setup, windows=changed)
+        moment = contingency.nearest_open(flight, Response.RELEASE)
+        assert expected < moment <= expected + 0.25
 
 
 def test_the_failure_for_which_the_team_already_holds_is_the_first_cause(folding):

@@ -19,7 +19,7 @@ def test_no_distance_decreases_during_a_separation():
     rng = np.random.default_rng(4)
     for _ in range(20):
         start = rng.uniform([-4.0, -4.0, 4.0], [4.0, 4.0, 12.0], (6, 3))
-        motion = separation_motion(start, start[2], 2.5, MISSION)
+        motion = separation_motion(start, start[2], 2.5, MISSION, np.ones(6, bool))
         times = np.linspace(motion.times[0], motion.times[-1], 40)
         distances = horizontal_distances(motion.at(times)[0])
         assert (np.diff(distances, axis=0) >= -1e-6).all()
