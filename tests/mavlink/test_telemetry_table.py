@@ -107,7 +107,7 @@ def test_undiscovered_vehicles_have_no_state():
     assert (fresh.received_at, fresh.position_at) == (-math.inf, -math.inf)
     assert np.isnan([*fresh.position, *fresh.velocity, *fresh.attitude]).all()
     assert (fresh.boot_ms, fresh.packets, fresh.lost_packets, fresh.component) == (-1, 0, 0, 1)
-    assert table.values.shape == (2, 28)
+    assert table.values.shape == (2, 29)
     assert known.vehicles[1].packets == 1
 
 
