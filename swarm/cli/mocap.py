@@ -7,6 +7,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import click
@@ -99,8 +100,7 @@ class Screen:
         if self.as_json:
             self._print_json({"event": words})
         else:
-            whole = not self.console.is_terminal
-            self.console.print(words, soft_wrap=whole, highlight=False, markup=False)
+            _print(self.console, words)
 
     def _print_json(self, content: object) -> None:
         sys.stdout.write(json.dumps(content) + "\n")
@@ -178,10 +178,7 @@ def _identify(fleet: Fleet, source: str | None, record: Path | None, *, as_json:
     console = Console(stderr=as_json)
     folder = record or new_check_folder(Path("checks"))
 
-    def say(words: str) -> None:
-        whole = not console.is_terminal
-        console.print(words, soft_wrap=whole, highlight=False, markup=False)
-
+    say = partial(_print, console)
     with console.status("listening") as status:
         say("Propellers off. All vehicles on the ground, and nothing else moved.")
         identification = identify_bodies(fleet, folder, source, say, status.update)
@@ -197,6 +194,11 @@ def _identify(fleet: Fleet, source: str | None, record: Path | None, *, as_json:
         console.print(Text(words, STYLES["good" if result["passed"] else "bad"]))
         console.print(f"Result: {folder / 'bodies.json'}", soft_wrap=True, highlight=False)
     return 0 if result["passed"] else 1
+
+
+def _print(console: Console, words: str) -> None:
+    """Print words: wrapped on a terminal, one line in a pipe."""
+    console.print(words, soft_wrap=not console.is_terminal, highlight=False, markup=False)
 
 
 def _laboratory_fleet(file: Path) -> Fleet:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from swarm.certification.findings import Finding
 from swarm.flight.bodies import UNSEEN, Body
@@ -57,34 +58,19 @@ _FRD = np.diag([1.0, -1.0, -1.0])
 
 def attitude_matrix(roll: float, pitch: float, yaw: float) -> Floats:
     """Return the rotation (3, 3) from forward, right, down to NED."""
-    cr, sr = math.cos(roll), math.sin(roll)
-    cp, sp = math.cos(pitch), math.sin(pitch)
-    cy, sy = math.cos(yaw), math.sin(yaw)
-    return np.array(
-        [
-            [cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy],
-            [cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy],
-            [-sp, sr * cp, cr * cp],
-        ]
-    )
+    matrix: Floats = Rotation.from_euler("ZYX", (yaw, pitch, roll)).as_matrix()
+    return matrix
 
 
 def pose_matrix(attitude: Sequence[float]) -> Floats:
     """Return the rotation (3, 3) of a pose (quaternion, FLU to ENU) from FRD to NED."""
-    w, x, y, z = np.asarray(attitude) / (math.hypot(*attitude) or 1.0)
-    enu = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    turned: Floats = _NED @ enu @ _FRD
+    turned: Floats = _NED @ Rotation.from_quat(attitude, scalar_first=True).as_matrix() @ _FRD
     return turned
 
 
 def rotation_vector(matrix: Floats) -> Floats:
     """Return the axis of a rotation (3, 3) times its angle in radians (3,)."""
+    # SciPy's takes eight times as long for one matrix (97 and 12 µs), and each step has hundreds
     twice = matrix - matrix.T
     axis = 0.5 * np.array([twice[2, 1], twice[0, 2], twice[1, 0]])
     sine, cosine = float(np.linalg.norm(axis)), 0.5 * (float(np.trace(matrix)) - 1.0)

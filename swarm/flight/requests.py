@@ -10,7 +10,7 @@ Request = Literal[
 ]
 REQUESTS: tuple[Request, ...] = get_args(Request)
 ABSENCE = "the absence of screens"
-"""The author of what is requested because nobody looks on."""
+"""The author of requests that are made because no screen is attached."""
 _REQUESTED = re.compile(rf"({'|'.join(REQUESTS)}) by (.+?): ")
 
 

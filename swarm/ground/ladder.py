@@ -8,7 +8,6 @@ verify`` enters a record again, or removes one that does not pass any more.
 import json
 import math
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -18,7 +17,7 @@ from typing import Final, Literal
 from pydantic import TypeAdapter, ValidationError
 
 from swarm.errors import InputError, Problem, Refused, reason
-from swarm.files import read_text
+from swarm.files import read_text, write_text
 from swarm.flight.flight_plan import CableFreeFlight, FlightPlan, Kind
 from swarm.flight.setup import LOOSE_ERROR
 from swarm.ground.record_reader import recorded_facts, recorded_fleet, recorded_outcome
@@ -235,13 +234,8 @@ def _read() -> list[PassedStep]:
 
 def _write(rows: Sequence[PassedStep]) -> None:
     path = list_path()
-    text = "".join(json.dumps(asdict(row)) + "\n" for row in rows)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(
-            "w", encoding="utf-8", dir=path.parent, prefix=path.name, delete=False
-        ) as file:
-            file.write(text)
-        Path(file.name).replace(path)
     except OSError as error:
-        raise InputError([Problem(str(path), reason(error))]) from None
+        raise InputError([Problem(str(path.parent), reason(error))]) from None
+    write_text(path, "".join(json.dumps(asdict(row)) + "\n" for row in rows))

@@ -6,8 +6,8 @@ socket, so that its packets go to the vehicles as without a bridge, and go on to
 ends. The bridge sends poses on the same sockets meanwhile, but only one process may receive: the
 borrower does, and passes on copies. When it ends, however it ends, the bridge receives again.
 
-Two senders of poses for one vehicle would be worse than none. Whoever sends poses claims the links
-with a locked file in a folder of this account; links that are claimed are borrowed or refused. A
+Two senders of poses for one vehicle would be worse than none. A process that sends poses claims the
+links with a locked file in a folder of this account; claimed links are borrowed or refused. A
 vehicle that two bridges reach on links with different URLs, or from two machines, is not noticed.
 
 The bridge is no ground station: its packets have a system id of their own, and its heartbeats a
@@ -256,7 +256,7 @@ class Bridge:
             self.say(words)
 
     def _receive(self, began: float, until: float) -> None:
-        """Receive packets of the vehicles until a time, where nobody has borrowed the links."""
+        """Receive packets of the vehicles until a time, unless the links are borrowed."""
         self.poses.team.read_unknown_again()
         while (wait := until - time.monotonic()) > 0.0:
             if self._borrower is not None:
@@ -266,7 +266,7 @@ class Bridge:
                 self.poses.team.receive(link, address, data, time.monotonic() - began)
 
     def _heartbeats(self) -> Iterator[Outgoing]:
-        """Yield heartbeats on all routes: some vehicles answer to nobody else."""
+        """Yield heartbeats on all routes: some vehicles answer only to those who send them."""
         for route in self.poses.team.routes():
             yield self.poses.on_route(route, _HEARTBEAT)
 
@@ -435,7 +435,7 @@ class Borrowed:
         return {system: body._replace(age=body.age + late) for system, body in self._bodies.items()}
 
     def change(self, now: float) -> tuple[str, str] | None:  # noqa: ARG002 - a feed
-        """Return an event: who sends the poses, or that nobody does any more."""
+        """Return an event: which process sends the poses, or that none does any more."""
         if self.words == self._said:
             return None
         self._said = self.words
@@ -443,7 +443,7 @@ class Borrowed:
 
     @property
     def words(self) -> str:
-        """Who sends the poses, in words."""
+        """The process that sends the poses, in words."""
         if self._ended:
             return f"the bridge in process {self.process} has ended: no vehicle gets poses"
         return f"the bridge in process {self.process} sends the poses ({self.source})"

@@ -243,7 +243,7 @@ def training_words(training: Document | None) -> str:
 
 
 def training_table(training: Document) -> Table:
-    """Return when each injected fault began, was detected, and was answered, and by whom."""
+    """Return when each injected fault began and was detected, and the operator's answer to it."""
     rows = [_training_row(fault) for fault in training["faults"]]
     columns = ("fault", "began", "detected", "the team", "the operator")
     return Table(columns, rows, numbers=(1,), whole=(1,))

@@ -190,6 +190,18 @@ def follow_grips(
     return moved, gripped
 
 
+def shown_strands(
+    snapshot: Snapshot, held: Floats, gripped: npt.NDArray[np.bool_], lengths: Floats, points: int
+) -> Floats:
+    """Return the cable of a snapshot (n − 1, k, 3): as estimated where all hold it, else hanging.
+
+    ``held`` and ``gripped`` are those of :func:`follow_grips`; ``points`` per hanging strand.
+    """
+    if snapshot.cable is not None and gripped.all():
+        return snapshot.cable
+    return strands(held, lengths, points)
+
+
 def planned_cable(plan: Plan, times: Floats) -> Floats:
     """Return the cable's grip points (k, n, 3) at mission times (k,), as :func:`follow_grips`."""
     position = plan.motion.at(times)[0]

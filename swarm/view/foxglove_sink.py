@@ -101,9 +101,7 @@ class FlightMessages:
 
     def _send_scene(self, snapshot: Snapshot, centres: Floats, stamp: int) -> None:
         lengths = self._plan.layout.lengths
-        strands = scene.strands(self._held, lengths, CABLE_POINTS)
-        if snapshot.cable is not None and self._gripped.all():
-            strands = snapshot.cable
+        strands = scene.shown_strands(snapshot, self._held, self._gripped, lengths, CABLE_POINTS)
         tints = scene.tautness_colours(scene.tautness(self._held, lengths)) / 255.0
         allowed = scene.allowed_error(self._plan, snapshot.mission_time)
         states = [

@@ -323,9 +323,9 @@ class Recorder:
     def _log_cable(self, snapshot: Snapshot, colours: bool) -> None:
         lengths = self._plan.layout.lengths
         self._held, self._gripped = scene.follow_grips(self._held, self._gripped, snapshot)
-        self._strips = scene.strands(self._held, lengths, scene.POINTS_PER_SEGMENT)
-        if snapshot.cable is not None and self._gripped.all():
-            self._strips = snapshot.cable
+        self._strips = scene.shown_strands(
+            snapshot, self._held, self._gripped, lengths, scene.POINTS_PER_SEGMENT
+        )
         tints = scene.tautness_colours(scene.tautness(self._held, lengths)) if colours else None
         self._stream.log(
             "flight/cable", rr.LineStrips3D.from_fields(strips=self._strips, colors=tints)

@@ -135,8 +135,8 @@ class Auditor:
     """Audits a team of vehicles on the ground, through the links of a relay's team.
 
     ``names`` are the system ids of the vehicles, with their autopilots; with ``fences``, which need
-    places on the earth, their fences are read too. All methods block, so they
-    must not run in the loop's thread. They raise :class:`VehicleError` with the names of all
+    places on the earth, their fences are read too. All methods block, so they must not run in the
+    loop's thread. They raise :class:`VehicleError` with the names of all
     vehicles that do not respond.
     """
 
@@ -365,7 +365,7 @@ class CheckReport:
 
     ``order`` are the system ids in order along the cable; empty without a plan. ``poses`` has a row
     for each vehicle where a motion capture system is read, here or by a bridge that runs;
-    ``sender`` says by whom.
+    ``sender`` names the process that sends them.
     """
 
     vehicles: tuple[VehicleAudit, ...]
@@ -633,7 +633,7 @@ class _Check:
         )  # fmt: skip
 
     def _sender(self) -> str:
-        """Return who sends the poses, in words; "" where nobody is known to."""
+        """Return what process sends the poses, in words; "" where none is known."""
         source = self.survey.poses
         if isinstance(source, Borrowed):
             return source.words
