@@ -373,9 +373,9 @@ def prepared_team(
         if vehicle not in flyers
     )
     findings.extend(
-        Finding("info", "ready", f"{named(vehicle, number)}: it decides whether to arm in "
+        Finding("info", "ready", f"system {vehicle.system}: it decides whether to arm in "
                 "offboard mode only; on the ground it lacks a global position")
-        for number, vehicle in enumerate(flyers, 1)
+        for vehicle in flyers
         if decided_in_offboard(vehicle, fleet)
     )  # fmt: skip
     return Prepared(

@@ -164,7 +164,7 @@ class Preflight:
         names = {v.system: v.autopilot.name for v in flyers if v.autopilot is not None}
         plan, fleet = self.conductor.plan, self.conductor.fleet
         required, gps = plan_requirements(plan, fleet), fleet.frame == "gps"
-        audits = Auditor(relay, names, required, fences=gps).audit()
+        audits = Auditor(relay, names, required, on_earth=gps).audit()
         with suppress(OSError):
             save_parameters(self.folder, audits)
         values = {vehicle.system: vehicle.parameters for vehicle in audits}

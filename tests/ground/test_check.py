@@ -9,9 +9,16 @@ import pexpect
 import pytest
 from pymavlink.dialects.v20 import common
 
+from swarm.certification.findings import Finding
 from swarm.errors import InputError, VehicleError
 from swarm.flight.fleet_listener import LinkQuality, radio_finding, radio_findings
-from swarm.ground.commissioning.check import CheckOptions, VehicleAudit, check, save_parameters
+from swarm.ground.commissioning.check import (
+    CheckOptions,
+    CheckReport,
+    VehicleAudit,
+    check,
+    save_parameters,
+)
 from swarm.ground.fly import FlyOptions, fly
 from swarm.ground.sockets import Links
 from swarm.mavlink.fence import polygon
@@ -28,7 +35,7 @@ def test_parameters_are_checked_set_and_restored(tmp_path):
     assert report.order == (1, 2, 3)
     assert [item.check for item in report.checklist()] == [
         "fleet", "firmware", "ready", "health", "battery", "position", "parameters", "fence",
-        "placement", "origin", "clock", "hold", "link",
+        "placement", "origin", "clock", "hold", "stream loss", "link",
     ]  # fmt: skip
     assert all(item.go for item in report.checklist())
     messages = [f.message for f in report.findings]
@@ -206,3 +213,29 @@ def test_the_missions_fence_is_uploaded_and_the_one_before_restored(tmp_path):
 
 def fence_messages(report):
     return [finding.message for finding in report.findings if finding.check == "fence"]
+
+
+def test_a_fence_that_cannot_be_uploaded_is_no_go_in_words(tmp_path):
+    fleet, options = emulated_fleet(2), CheckOptions(fence=True, prepared=True)
+    (message,) = unfenced(check(fleet, tmp_path, small_plan(vehicles=2), options))
+    assert message == "not uploaded: the mission has none (workspace.fence)"
+    pads = fleet.model_copy(update={"frame": "pads"})
+    report = check(pads, tmp_path, small_plan(FENCED, vehicles=2), options)
+    assert unfenced(report) == ["not uploaded: in the frame pads it has no place on the earth"]
+    # and what needs such a place is no warning there
+    vehicle, _ = report.vehicles
+    assert list(vehicle.health) == ["gyroscope", "accelerometer", "magnetometer", "local position"]
+
+
+def unfenced(report):
+    errors = [finding for finding in report.findings if finding.severity == "error"]
+    assert {finding.check for finding in errors} == {"fence"}
+    return [finding.message for finding in errors]
+
+
+def test_every_error_of_a_flight_is_a_row_of_the_list():
+    landing = Finding(
+        "error", "stream loss", "when all setpoints end, vehicle 2 would land at once"
+    )
+    (row,) = CheckReport((), (), (), (landing,)).checklist()
+    assert (row.subject, row.go, row.message) == ("lost setpoints", False, landing.message)

@@ -134,9 +134,9 @@ class VehicleAudit:
 class Auditor:
     """Audits a team of vehicles on the ground, through the links of a relay's team.
 
-    ``names`` are the system ids of the vehicles, with their autopilots; with ``fences``, which need
-    places on the earth, their fences are read too. All methods block, so they must not run in the
-    loop's thread. They raise :class:`VehicleError` with the names of all
+    ``names`` are the system ids of the vehicles, with their autopilots; where they know their place
+    ``on_earth``, their fences are read too. All methods block, so they must not run in the loop's
+    thread. They raise :class:`VehicleError` with the names of all
     vehicles that do not respond.
     """
 
@@ -144,7 +144,7 @@ class Auditor:
     names: Mapping[int, AutopilotName]
     demands: Requirements
     progress: ProgressCallback = lambda *_: None
-    fences: bool = False
+    on_earth: bool = False
     _reports: dict[int, VehicleReport] = field(default_factory=dict)
 
     def audit(self) -> list[VehicleAudit]:
@@ -152,7 +152,7 @@ class Auditor:
         vehicles = self._vehicles()
         for vehicle in vehicles.values():
             vehicle.parameters.fetch()
-            if self.fences:
+            if self.on_earth:
                 vehicle.fence.fetch()
         self._wait("parameters", lambda: _fetched(vehicles.values()))
         self._fetch_reports()
@@ -255,7 +255,11 @@ class Auditor:
         return VehicleAudit(
             system=system,
             firmware=f"{_FIRMWARE[name]} {number}" if number else f"{name}, version unknown",
-            health=report.health,
+            health={
+                subsystem: fine
+                for subsystem, fine in report.health.items()
+                if self.on_earth or subsystem not in _ON_EARTH
+            },
             battery=report.battery,
             satellites=report.satellites,
             problems=report.problems,
@@ -322,6 +326,9 @@ _STREAM_START = 2.5
 _READY_TIMEOUT = 5.0
 """Seconds within which a vehicle that has run for long must report that it is ready."""
 _HOLD_TIMEOUT = 15.0
+_ON_EARTH = frozenset({"global position", "home position", "armable"})
+"""Health that needs a place on the earth: without one PX4 can arm in offboard mode only, which the
+check of ``ready`` knows."""
 _POLYGON = 4
 """The bit of FENCE_TYPE for the uploaded polygon (ArduPilot, AC_Fence)."""
 
@@ -341,6 +348,7 @@ SUBJECTS = {
     "origin": "origins",
     "clock": "clocks and delays",
     "hold": "Hold mode, tested",
+    "stream loss": "lost setpoints",
     "link": "links",
     "radio": "capacity of the radios",
     "hop": "hover errors in a hop",
@@ -487,7 +495,7 @@ class _Check:
         auditor = Auditor(
             self.survey.relay, names, _requirements(self.plan, self.listener.fleet),
             self.options.progress,
-            fences=self.listener.fleet.frame == "gps",
+            on_earth=self.listener.fleet.frame == "gps",
         )  # fmt: skip
         audits = auditor.audit()
         self.survey.relay.closed = True
@@ -509,6 +517,8 @@ class _Check:
             changed += auditor.set(_enabled_fences(audits))
             audits = auditor.updated(audits)
         fences = [] if wanted is None else [audit.fence_finding(wanted) for audit in audits]
+        if self.options.fence and not wanted:
+            fences.append(Finding("error", "fence", f"not uploaded: {self._why_no_fence(wanted)}"))
         hold = self._test_hold()
         links = self._soak()
         return self._report(audits, links, changed, [*placement, *hold, *fences], order)
@@ -524,6 +534,15 @@ class _Check:
             return None
         flyers = [self.listener.team.vehicles[system] for system in order]
         return wanted_fence(self.plan, flyers, self.listener.fleet)
+
+    def _why_no_fence(self, wanted: tuple[FenceItem, ...] | None) -> str:
+        if self.listener.fleet.frame != "gps":
+            return f"in the frame {self.listener.fleet.frame} it has no place on the earth"
+        return (
+            "where it lies is not known"
+            if wanted is None
+            else "the mission has none (workspace.fence)"
+        )
 
     def _wait_for_vehicles(self) -> None:
         """Wait until all vehicles are received, at the requested rates."""
