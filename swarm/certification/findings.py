@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 Severity = Literal["error", "warning", "info"]
@@ -37,18 +37,18 @@ def numbers(listed: Sequence[int]) -> str:
     return ", ".join(f"{r[0]}–{r[-1]}" if len(r) > 1 else str(r[0]) for r in runs)
 
 
-def in_common(findings: Iterable[Finding]) -> list[tuple[str, str, str]]:
-    """Return severity, check and message; equal findings on many systems are one line."""
-    merged: dict[tuple[str, str, str], list[int]] = {}
+def in_common(findings: Iterable[Finding]) -> list[Finding]:
+    """Return the findings; equal ones on many systems are one."""
+    merged: dict[Finding, list[int]] = {}
     for finding in findings:
         named = _SYSTEM.match(finding.message)
         words = finding.message[named.end() :] if named else finding.message
-        systems = merged.setdefault((finding.severity, finding.check, words), [])
+        systems = merged.setdefault(replace(finding, message=words), [])
         if named:
             systems.append(int(named[1]))
     return [
-        (severity, check, of_systems(systems) + words)
-        for (severity, check, words), systems in merged.items()
+        replace(finding, message=of_systems(systems) + finding.message)
+        for finding, systems in merged.items()
     ]
 
 

@@ -13,7 +13,7 @@ import click
 from rich.console import Console
 
 from swarm.certification.certificate import without_cable
-from swarm.certification.findings import Finding
+from swarm.certification.findings import Finding, in_common
 from swarm.cli.flight_session import (
     CONSOLE,
     CONSOLE_CERTIFICATE,
@@ -419,7 +419,7 @@ def _confirmation(
 
     def confirm(audit: Audit) -> bool:
         if not unasked:
-            console.print(drawn(findings_table([*warnings, *audit.findings])))
+            console.print(drawn(findings_table([*warnings, *in_common(audit.findings)])))
             if not click.confirm("Arm and fly?", err=True):
                 return False
             screen.enter_context(shown.screen)

@@ -260,7 +260,7 @@ class ClearedPlan:
         if stream_loss is not None and stream_loss.digest != digest(self.flight_plan.plan):
             raise Refused("the audit worked out lost setpoints for another plan")
         if errors:
-            words = [f"{check}: {message}" for _, check, message in in_common(errors)]
+            words = [f"{finding.check}: {finding.message}" for finding in in_common(errors)]
             if any(finding.check == "parameters" for finding in errors):
                 words.append("swarm check MISSION --fleet FLEET --fix asks, and sets parameters")
             raise Refused("\n".join(words))

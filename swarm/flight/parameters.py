@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from swarm.certification.assessment import endurance_findings
 from swarm.certification.clearances import PlanChecks
 from swarm.certification.findings import Finding, Severity
 from swarm.certification.stream_loss import (
@@ -360,6 +361,8 @@ def stream_loss_findings(
     """Return the certificate of a plan for lost setpoints of these vehicles, with findings."""
     certificate = PlanChecks.of(plan).stream_loss(model)
     findings = certificate.findings()
+    if certificate.delay:
+        findings.extend(endurance_findings(plan, certificate.delay))
     lands = [descent > 0.0 for descent in model.descent]
     if any(lands) and not all(lands):
         who = ", ".join(f"vehicle {k}" for k, lands_alone in enumerate(lands, 1) if lands_alone)

@@ -120,8 +120,8 @@ def print_check(report: CheckReport, console: Console) -> None:
     tables = {"parameters", "poses"}
     findings = [finding for finding in report.findings if finding.check not in tables]
     rows = [
-        (Cell(severity, SEVERITIES[severity]), check, words)
-        for severity, check, words in in_common(findings)
+        (Cell(finding.severity, SEVERITIES[finding.severity]), finding.check, finding.message)
+        for finding in in_common(findings)
     ]
     console.print(drawn(Table(("", "check", "finding"), rows)))
     console.print()

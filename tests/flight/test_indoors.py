@@ -2,7 +2,7 @@
 
 import pytest
 
-from swarm.certification.findings import in_common, of_systems
+from swarm.certification.findings import Finding, in_common, of_systems
 from swarm.mission.fleet import emulated_fleet
 from tests.network import Network, small_plan
 
@@ -22,7 +22,7 @@ def test_a_team_flies_where_there_is_no_global_position(autopilots):
         "it decides whether to arm in offboard mode only; on the ground it lacks a global position"
     )
     systems = [v.system for v in flight.conductor.flyers if v.autopilot.name == "px4"]
-    assert told == [("info", "ready", of_systems(systems) + words)][: len(systems)]
+    assert told == [Finding("info", "ready", of_systems(systems) + words)][: len(systems)]
 
 
 def test_outdoors_a_vehicle_that_is_not_ready_is_waited_for_and_refused():

@@ -178,8 +178,14 @@ def test_a_team_of_which_some_would_land_and_others_hold_is_refused():
     _, findings = stream_loss_findings(plan, stream_loss_model([lands, holds, lands], FLEET.limits))
     (error,) = [finding for finding in findings if finding.severity == "error"]
     assert "vehicle 1, vehicle 3 would land at once and the others would hold" in error.message
-    _, findings = stream_loss_findings(plan, stream_loss_model([lands, lands, lands], FLEET.limits))
+    model = stream_loss_model([lands, lands, lands], FLEET.limits)
+    certificate, findings = stream_loss_findings(plan, model)
     assert not [finding for finding in findings if finding.severity == "error"]
+    # and how long the flight takes at the pace that this allows
+    (long,) = [finding.message for finding in findings if finding.check == "endurance"]
+    assert certificate.delay > 1.0
+    seconds = plan.flight_duration + certificate.delay
+    assert long.startswith(f"{seconds:.0f} s of flight with the rate limits of the clock, ")
 
 
 def test_the_flight_keeps_the_pace_that_the_audited_vehicles_allow():

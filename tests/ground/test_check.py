@@ -9,7 +9,7 @@ import pexpect
 import pytest
 from pymavlink.dialects.v20 import common
 
-from swarm.certification.findings import Finding
+from swarm.certification.findings import Finding, in_common
 from swarm.errors import InputError, VehicleError
 from swarm.flight.fleet_listener import LinkQuality, radio_finding, radio_findings
 from swarm.ground.commissioning.check import (
@@ -35,7 +35,8 @@ def test_parameters_are_checked_set_and_restored(tmp_path):
     assert report.order == (1, 2, 3)
     assert [item.check for item in report.checklist()] == [
         "fleet", "firmware", "ready", "health", "battery", "position", "parameters", "fence",
-        "placement", "origin", "clock", "hold", "stream loss", "link",
+        "placement", "origin", "clock", "hold", "stream loss", "endurance",
+        "link",
     ]  # fmt: skip
     assert all(item.go for item in report.checklist())
     messages = [f.message for f in report.findings]
@@ -239,3 +240,10 @@ def test_every_error_of_a_flight_is_a_row_of_the_list():
     )
     (row,) = CheckReport((), (), (), (landing,)).checklist()
     assert (row.subject, row.go, row.message) == ("lost setpoints", False, landing.message)
+
+
+def test_equal_findings_of_many_vehicles_are_one_line():
+    words = [Finding("info", "battery", f"system {k}: 100 %") for k in (1, 2, 4)]
+    other = Finding("warning", "failed vehicle", "release it at once", 78.5)
+    together = Finding("info", "battery", "systems 1–2, 4: 100 %")
+    assert in_common([*words[:2], other, words[2]]) == [together, other]

@@ -349,6 +349,7 @@ SUBJECTS = {
     "clock": "clocks and delays",
     "hold": "Hold mode, tested",
     "stream loss": "lost setpoints",
+    "endurance": "duration of the flight",
     "link": "links",
     "radio": "capacity of the radios",
     "hop": "hover errors in a hop",
@@ -622,7 +623,6 @@ class _Check:
         order: tuple[int, ...],
     ) -> CheckReport:
         fleet, plan = self.listener.fleet, self.plan
-        battery = 100.0 * plan.flight_duration / plan.mission.vehicles.endurance if plan else 0.0
         findings = [
             Finding(
                 "info", "fleet", f"{len(self.listener.received)} vehicles of {fleet.name} received"
@@ -630,13 +630,18 @@ class _Check:
             *self.listener.team.findings(),
             *observed,
         ]
-        for audit in audits:
-            findings.extend(audit.findings(battery))
+        duration = plan.flight_duration if plan else 0.0
+        loss_findings: list[Finding] = []
         if plan is not None and order:
             values = {audit.system: audit.parameters for audit in audits}
             names = {v.system: v.autopilot.name for v in self.listener.received if v.autopilot}
             flown = [(names[system], values[system]) for system in order if system in values]
-            findings.extend(stream_loss_findings(plan, stream_loss_model(flown, fleet.limits))[1])
+            loss, loss_findings = stream_loss_findings(plan, stream_loss_model(flown, fleet.limits))
+            duration += loss.delay
+        battery = 100.0 * duration / plan.mission.vehicles.endurance if plan else 0.0
+        for audit in audits:
+            findings.extend(audit.findings(battery))
+        findings.extend(loss_findings)
         tracking = plan.mission.vehicles.tracking if plan else math.inf
         findings.extend(self.listener.frames_and_clocks(tracking))
         if self.survey.corrections is not None:
