@@ -20,7 +20,7 @@ from swarm.console.certificate import fingerprint, read_certificate, self_signed
 from swarm.errors import InputError, Problem, reason
 from swarm.ground.record import control_socket
 
-DEFAULT: Final = "127.0.0.1:8765"
+DEFAULT: Final = "127.0.0.1:8766"
 MODULE: Final = "swarm.console.server"
 _LETTERS: Final = "23456789abcdefghjkmnpqrstuvwxyz"
 """Letters and digits that are not mistaken for each other."""

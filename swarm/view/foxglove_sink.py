@@ -8,7 +8,7 @@ completes the log.
 import os
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import Any, Final
 
 import foxglove
@@ -47,10 +47,12 @@ def main() -> None:
             sinks.callback(log.close)
         if options.live is not None:
             name = f"swarm: {plan.mission.name}"
-            server = foxglove.start_server(
-                name=name, host=LOOPBACK, port=options.port, context=context
-            )
-            sinks.callback(server.stop)
+            # where another program has taken the port since, the record is kept all the same
+            with suppress(RuntimeError):
+                server = foxglove.start_server(
+                    name=name, host=LOOPBACK, port=options.port, context=context
+                )
+                sinks.callback(server.stop)
         flight = None
         for item in items(source):
             flight = flight or FlightMessages(plan, context, time.time() - item.time)

@@ -1,6 +1,7 @@
 """A flight live for Foxglove: a client and readers that share no code with its library."""
 
 import json
+import socket
 import struct
 import time
 from contextlib import ExitStack
@@ -13,6 +14,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from swarm.console.launch import DEFAULT, parse_address
+from swarm.view import feeds
 from swarm.view.feeds import start
 from swarm.view.viewers import free_port
 from tests.reports.synthetic import events, fly, snapshot_at, trefoil_plan
@@ -112,6 +115,19 @@ def test_viewers_that_come_late_see_the_flight_and_the_record_keeps_all(tmp_path
     later = iter(kept)
     assert seen
     assert all(state in later for state in seen), "what was seen is kept, in the same order"
+
+
+def test_the_record_is_kept_where_the_port_is_taken(tmp_path: Path, monkeypatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        monkeypatch.setattr("swarm.view.feeds.free_port", lambda _: other.getsockname()[1])
+        viewer = start(PLAN, tmp_path / "flight.rrd", "foxglove")
+        viewer.offer(snapshot_at(PLAN, 40.0))
+        assert viewer.close(timeout=PATIENCE)
+    assert len(read_json(tmp_path / "flight.mcap", "/vehicle_3/state")) == 1
+
+
+def test_foxglove_and_the_console_have_ports_of_their_own() -> None:
+    assert parse_address(DEFAULT).port != feeds.FOXGLOVE_PORT
 
 
 def test_figures_are_those_of_the_snapshot(tmp_path: Path) -> None:
