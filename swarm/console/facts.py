@@ -140,6 +140,7 @@ def state_facts(plan: Plan, snapshot: Snapshot, rates: Rates) -> dict[str, Any]:
         "phase": snapshot.phase,
         "mission": snapshot.mission_time,
         "rate": snapshot.rate,
+        "slowed_by": snapshot.slowed_by,
         "landing": snapshot.landing,
         "wait": _wait(snapshot),
         "windows": [_window(name, left) for name, left in snapshot.windows.items()],

@@ -68,21 +68,36 @@ def allowed_pace(flight: FlightState, *, backwards: bool) -> float:
 
     For a clock that runs on or ``backwards``. Flights without feedback keep their rate.
     """
+    return min(_paces(flight, backwards=backwards).values(), default=1.0)
+
+
+def slowed_by(flight: FlightState) -> str:
+    """Return what allows the clock the smallest rate now; "" where none is below 1."""
+    paces = _paces(flight, backwards=flight.progress.rewinding)
+    return min(
+        (what for what in paces if paces[what] < 1.0), key=lambda what: paces[what], default=""
+    )
+
+
+def _paces(flight: FlightState, *, backwards: bool) -> dict[str, float]:
     if flight.setup.options.open_loop:
-        return 1.0
+        return {}
     limit = flight.stream_loss.rate_limit(flight.clock.time, backwards=backwards)
-    return min(_pace_of_errors(flight), limit)
+    return {**_paces_of_errors(flight), "room for lost setpoints": limit}
 
 
 def _pace_of_errors(flight: FlightState) -> float:
-    """Return the largest rate, 0…1, that errors and clearances allow now."""
+    return min(_paces_of_errors(flight).values())
+
+
+def _paces_of_errors(flight: FlightState) -> dict[str, float]:
+    """Return the largest rate, 0…1, that errors allow now, and that clearances do."""
     options = flight.setup.options
     pace = min(1.0, max(0.0, (1.0 - _worst(flight)) / (1.0 - SLOW_FROM)))
     if options.error_limit is not None and flight.phase.name == "hold":
         pace = 1.0  # the errors that are measured here must not decide for how long
-    if flight.monitored is not None:
-        pace = min(pace, flight.monitored.pace)
-    return pace
+    monitored = flight.monitored.pace if flight.monitored is not None else 1.0
+    return {"tracking errors": pace, "clearances": monitored}
 
 
 def _too_far(flight: FlightState) -> bool:

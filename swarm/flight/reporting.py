@@ -7,6 +7,7 @@ import numpy as np
 
 from swarm.certification.findings import numbers
 from swarm.flight.execute import airborne, at_rest, releasing
+from swarm.flight.pace import slowed_by
 from swarm.flight.preparation import problems_of, readiness
 from swarm.flight.responding import available
 from swarm.flight.result import Statistics
@@ -248,6 +249,7 @@ def snapshot_of(flight: FlightState, now: float) -> Snapshot:
         position_age=np.array([now - vehicle.position_at for vehicle in vehicles]),
         landing=landing(flight),
         windows=windows(flight),
+        slowed_by=slowed_by(flight) if flight.stage is Stage.EXECUTE else "",
     )
 
 

@@ -38,7 +38,7 @@ class Snapshot:
     empty where they are not reported. ``landing`` is the expected time until all have landed as
     planned, in seconds, with waits at gates and a slower clock; None where it is not known.
     ``windows`` says in how many seconds of mission time all can "land" together, or "release" the
-    cable: 0 now, None not any more.
+    cable: 0 now, None not any more. ``slowed_by`` names what the clock is slower for; "": nothing.
     """
 
     time: float
@@ -73,6 +73,7 @@ class Snapshot:
     position_age: Floats = field(default_factory=lambda: np.zeros(0))
     landing: float | None = None
     windows: Mapping[str, float | None] = field(default_factory=dict)
+    slowed_by: str = ""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """What the console shows of a team, from the snapshots that the terminal shows too."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -151,3 +152,13 @@ def test_a_flight_says_who_is_missing_when_all_have_landed_and_which_windows_are
     flight.conductor.request("resume")
     flight.run()
     assert flight.now - at == pytest.approx(seen.landing, abs=5.0)
+
+
+def test_a_slower_clock_says_what_for():
+    assert facts()["slowed_by"] == ""
+    flight = Network(small_plan())
+    flight.until_phase("fold", 1.0)
+    loss = flight.conductor.state.stream_loss
+    flight.conductor.state.stream_loss = replace(loss, rates=np.full(len(loss.times), 0.3))
+    flight.run(lambda: flight.conductor.clock.rate < 0.31)
+    assert flight.conductor.snapshot(flight.now).slowed_by == "room for lost setpoints"

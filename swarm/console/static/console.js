@@ -206,7 +206,11 @@ function showState() {
 function showWait() {
   if (ended !== null) return;
   const wait = state.wait;
-  if (!wait) return put($("wait"), state.rate > 0 ? "The clock runs." : "", "wait good");
+  if (!wait) {
+    const slowed = state.slowed_by && state.rate < 0.995
+      ? `The clock runs slower: ${state.slowed_by}.` : "The clock runs.";
+    return put($("wait"), state.rate > 0 ? slowed : "", "wait good");
+  }
   const missing = wait.missing.length ? `; missing: ${wait.missing.join(", ")}` : "";
   const left = wait.left === null ? ""
     : wait.then === "left" ? `; ${wait.left.toFixed(0)} s left` : `; ${wait.then} in ${wait.left.toFixed(0)} s`;

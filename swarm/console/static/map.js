@@ -167,12 +167,12 @@ function drawSide(canvas, plan, state) {
   const at = (p) => [
     (width + left - 22) / 2 + scale * (p[0] - middle), floor - scale * p[2]];
   const step = niceStep(34 / scale);
+  bounds(pen, plan, at, colours);
   for (let z = 0; z * scale < floor - 8; z += step) {
     line(pen, [[left, floor - scale * z], [width - 6, floor - scale * z]], colours.line, z ? 0.5 : 1.5);
     words(pen, `${z} m`, left - 4, floor - scale * z, colours.dim, colours.card, "right");
   }
   const ceiling = floor - scale * plan.ceiling;
-  bounds(pen, plan, at, colours);
   if (ceiling > 14) line(pen, [[left, ceiling], [width - 6, ceiling]], colours.fence, 1.5, [7, 4]);
   if (state) {
     cable(pen, state.strands, at, (p) => -p[1], colours, dark);
