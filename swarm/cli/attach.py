@@ -21,17 +21,22 @@ from rich.console import Console
 from swarm.cli.flight_session import (
     CONSOLE,
     CONSOLE_CERTIFICATE,
+    REPORT,
     VIEW,
     Displays,
     opened_console,
+    recorded_report,
 )
 from swarm.cli.inputs import FOLDER, JSON, print_json, refuse_option_conflicts
 from swarm.errors import InputError, Problem, Refused, VehicleError, reason
+from swarm.files import write_text
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.flight_process import MODULE
+from swarm.ground.ladder import enter
 from swarm.ground.operator import read_screen_line, terminal_keys
 from swarm.ground.record import control_socket
 from swarm.ground.record_reader import recorded_plan
+from swarm.ground.record_verification import verify_record
 from swarm.reports.formatting import clock
 from swarm.reports.terminal import FlightScreen
 from swarm.view import feeds
@@ -95,7 +100,9 @@ def attach(
             if sender.detached:
                 terminal.print("Detached: the flight goes on.", highlight=False)
                 return
-    context.exit(_print_outcome(folder, terminal))
+    code = _print_outcome(folder, terminal)
+    _complete(folder, terminal)
+    context.exit(code)
 
 
 @click.command()
@@ -227,6 +234,18 @@ def _state(folder: Path) -> Snapshot | None:
     except (InputError, Refused, VehicleError, OSError):
         return None
     return None
+
+
+def _complete(folder: Path, console: Console) -> None:
+    """Write the page of a flight whose own terminal is gone, and enter the first test it passes."""
+    if (folder / REPORT).exists():
+        return
+    try:
+        verified = verify_record(folder)
+        write_text(folder / REPORT, recorded_report(verified))
+        enter(verified)
+    except InputError as error:
+        console.print(f"Report: not written: {error}", soft_wrap=True, markup=False)
 
 
 def _print_outcome(folder: Path, console: Console) -> int:

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
 
@@ -20,7 +20,8 @@ from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.corrections import parse_source
 from swarm.ground.ladder import STEPS, enter
 from swarm.ground.mocap import parse_url
-from swarm.ground.record_verification import verify_record
+from swarm.ground.record_reader import recorded_certificate
+from swarm.ground.record_verification import VerifiedRecord, recorded_result, verify_record
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
 from swarm.reports.flight import flight_report, outcome_object, print_outcome
@@ -90,6 +91,22 @@ def opened_console(
         else:
             console.print(opened.message, soft_wrap=True, highlight=False, markup=False)
         yield
+
+
+REPORT = "report.html"
+"""The page of a flight in its record."""
+
+
+def recorded_report(verified: VerifiedRecord) -> str:
+    """Return the page of a flight from its record, as the flight's own terminal writes it.
+
+    Raises :class:`InputError` for a record without a certificate, or that did not end.
+    """
+    plan, result = verified.plan, recorded_result(verified)
+    _, recorded = recorded_certificate(verified.record)
+    assessment = replace(verified.assessment, robustness=recorded.robustness)
+    outcome = outcome_object(plan, result, verified.verification, assessment)
+    return flight_report(plan, assessment, outcome, result.trace, result.events)
 
 
 def note_first_test(folder: Path, *, real: bool) -> None:
@@ -168,7 +185,7 @@ def end_flight(
     verification = verify_trace(plan, result.trace)
     outcome = outcome_object(plan, result, verification, assessment)
     report = flight_report(plan, assessment, outcome, result.trace, result.events)
-    write_text(folder / "report.html", report)
+    write_text(folder / REPORT, report)
     note_first_test(folder, real=real)
     if as_json:
         print_json(outcome)

@@ -6,8 +6,10 @@ from pathlib import Path
 import click
 from rich.console import Console
 
+from swarm.cli.flight_session import recorded_report
 from swarm.cli.inputs import FILE, JSON, OUTPUT, print_json
 from swarm.errors import Refused
+from swarm.files import write_text
 from swarm.front.plans import load_plan
 from swarm.ground.ladder import enter
 from swarm.ground.record_reader import recorded_plan
@@ -41,6 +43,7 @@ from swarm.reports.flight import print_record, record_object
     type=OUTPUT,
     help="Draw the positions in the hold, the tracking errors and the mission clock (PNG).",
 )
+@click.option("--report", type=OUTPUT, help="Write the page of the flight (one HTML file).")
 @click.pass_context
 def verify(
     context: click.Context,
@@ -50,6 +53,7 @@ def verify(
     observed: str | None,
     truth: bool,
     plot: Path | None,
+    report: Path | None,
 ) -> None:
     """Verify a flight RECORD (a folder): implied knot, smallest distances, tracking errors.
 
@@ -71,6 +75,8 @@ def verify(
         from swarm.reports.plots import flight_figure, save  # noqa: PLC0415 - slow to import
 
         save(flight_figure(verified.plan, verified.log.trace), plot)
+    if report:
+        write_text(report, recorded_report(verified))
     document = record_object(verified)
     enter(verified)
     if as_json:

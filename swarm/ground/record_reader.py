@@ -124,9 +124,14 @@ def recorded_skipped(record: Path) -> tuple[str, ...]:
 
 def recorded_outcome(record: Path) -> str:
     """Return how a record's flight ended, in a word; "" where it did not end as it should."""
+    return str(recorded_summary(record).get("outcome", ""))
+
+
+def recorded_summary(record: Path) -> dict[str, Any]:
+    """Return the summary of a record; empty where it has none."""
     path = record / "summary.json"
     summary = _json(path, LARGEST_FILE) if path.exists() else {}
-    return str(summary.get("outcome", "")) if isinstance(summary, dict) else ""
+    return summary if isinstance(summary, dict) else {}
 
 
 def recorded_facts(record: Path) -> dict[str, Any]:

@@ -11,11 +11,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter, ValidationError
+
 from swarm.certification.assessment import Assessment, assess
 from swarm.errors import InputError, Problem, reason
 from swarm.files import parse_json, read_text
 from swarm.flight.flight_plan import Basis, confirmed_basis
-from swarm.flight.result import Adherence, adherence
+from swarm.flight.result import Adherence, FlightResult, Outcome, Statistics, Word, adherence
 from swarm.flight.snapshot import Event
 from swarm.flight.tlog import Replayed
 from swarm.flight.training import Training
@@ -25,6 +27,7 @@ from swarm.ground.record_reader import (
     recorded_flight,
     recorded_plan,
     recorded_skipped,
+    recorded_summary,
     recorded_training,
     true_trace,
 )
@@ -151,6 +154,45 @@ class VerifiedRecord:
         """
         append_observation(self.record, observation)
         return replace(self, observations=(*self.observations, observation))
+
+
+def recorded_result(verified: VerifiedRecord) -> FlightResult:
+    """Return the result of a verified record's flight, as the flight itself had it.
+
+    Raises :class:`InputError` for a record without a certificate, or that did not end.
+    """
+    record, basis, flown = verified.record, verified.basis, verified.adherence
+    summary = recorded_summary(record)
+    try:
+        ending = _ENDING.validate_python(summary)
+    except ValidationError:
+        message = "expected the summary of a flight that has ended"
+        raise InputError([Problem(str(record / "summary.json"), message)]) from None
+    if basis is None or flown is None:
+        raise InputError([Problem(str(record), "expected a record with a certificate")])
+    return FlightResult(
+        Outcome(ending.outcome, ending.explanation),
+        verified.log.trace,
+        tuple(recorded_events(record)),
+        ending.statistics,
+        basis,
+        flown,
+        record,
+        verified.training,
+        verified.skipped,
+    )
+
+
+@dataclass(frozen=True)
+class _Ending:
+    """What is read of a summary."""
+
+    outcome: Word
+    explanation: str
+    statistics: Statistics
+
+
+_ENDING = TypeAdapter(_Ending)
 
 
 def verify_record(record: Path, *, truth: bool = False) -> VerifiedRecord:

@@ -12,6 +12,7 @@ import pytest
 
 from swarm.ground.fly import Caller, Preflight, TickTasks
 from swarm.ground.record import Record
+from tests.command import run
 from tests.network import Network, small_plan
 
 SWARM = Path(sys.executable).with_name("swarm")
@@ -135,6 +136,11 @@ def test_a_closed_terminal_and_another_that_attaches(tmp_path):
     second.until("Record: flight")
     second.close()
     assert "done: " in second.text, second.text[-2000:]
+    # the page that the first terminal would have written, and the same from the record later
+    page = (tmp_path / "flight" / "report.html").read_text()
+    assert run("verify", str(tmp_path / "flight"), "--report", str(tmp_path / "again.html"))[0] == 0
+    assert (tmp_path / "again.html").read_text() == page
+    assert "all vehicles have landed and disarmed" in page
 
 
 @pytest.mark.usefixtures("in_real_time")
