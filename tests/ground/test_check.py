@@ -191,8 +191,11 @@ def test_the_missions_fence_is_uploaded_and_the_one_before_restored(tmp_path):
     report = check(fleet, tmp_path / "first", plan)
     has_none = "has no fence; swarm check MISSION --fence uploads the mission's"
     assert fence_messages(report) == [f"system {k}: {has_none}" for k in (1, 2, 3)]
-    options = CheckOptions(fence=True, restore=tmp_path / "first")
+    options = CheckOptions(fence=True, confirm_fix=lambda _: True, restore=tmp_path / "first")
     report = check(fleet, tmp_path / "second", plan, options)
+    # the action of a fence counts once it is enabled, in the same check
+    assert "system 2: FENCE_ACTION 1 → 0" in report.parameters_set
+    assert report.passed, [f.message for f in report.findings if f.severity == "error"]
     assert fence_messages(report) == [f"system {k}: has the mission's fence" for k in (1, 2, 3)]
     assert "system 1: fence of 4 items uploaded" in report.parameters_set
     assert "system 2: FENCE_ENABLE 0 → 1" in report.parameters_set

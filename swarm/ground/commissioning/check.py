@@ -506,17 +506,14 @@ class _Check:
             changed += auditor.set(_changed_since(audits, self.options.restore))
             changed += auditor.set_fences(_fences_before(audits, self.options.restore))
             audits = auditor.updated(audits)
-        rows = [row for audit in audits for row in audit.deviations if row.value is not None]
-        confirm_fix = self.options.confirm_fix
-        if rows and confirm_fix is not None and confirm_fix(rows):
-            changed += auditor.fix(rows)
-            audits = auditor.updated(audits)
+        audits = self._fixed(auditor, audits, changed)
         placement, order = self._placement()
         wanted = self._wanted_fence(order)
         if self.options.fence and wanted:
             changed += auditor.set_fences({audit.system: wanted for audit in audits})
             changed += auditor.set(_enabled_fences(audits))
-            audits = auditor.updated(audits)
+            # what an enabled fence does counts from now on
+            audits = self._fixed(auditor, auditor.updated(audits), changed)
         fences = [] if wanted is None else [audit.fence_finding(wanted) for audit in audits]
         if self.options.fence and not wanted:
             fences.append(Finding("error", "fence", f"not uploaded: {self._why_no_fence(wanted)}"))
@@ -528,6 +525,17 @@ class _Check:
     def listener(self) -> FleetListener:
         """The fleet as it is received."""
         return self.survey.listener
+
+    def _fixed(
+        self, auditor: Auditor, audits: list[VehicleAudit], changed: list[str]
+    ) -> list[VehicleAudit]:
+        """Set the parameters that deviate where that is confirmed; return the audits then."""
+        rows = [row for audit in audits for row in audit.deviations if row.value is not None]
+        confirm_fix = self.options.confirm_fix
+        if not rows or confirm_fix is None or not confirm_fix(rows):
+            return audits
+        changed += auditor.fix(rows)
+        return auditor.updated(audits)
 
     def _wanted_fence(self, order: Sequence[int]) -> tuple[FenceItem, ...] | None:
         """Return the mission's fence; None without a mission, or where it cannot be placed."""
