@@ -15,15 +15,18 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 from joblib import Parallel, delayed
 from pydantic import TypeAdapter, ValidationError
 
+from sitl.emulator import Truth
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.monitor import Monitor
 from swarm.errors import InputError, Problem, reason
 from swarm.flight.failures import FailureKind, Response
 from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.snapshot import Event
+from swarm.geometry.solids import distances, grown, obstacles_of
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
 from swarm.simulation.failure_cases import FAILURE_CASES, FailureCase, Part
@@ -62,7 +65,8 @@ class FaultTrial:
       where never evaluated. ``chord_ratio``: the largest chord over length.
     - ``rotor_strikes`` on cable, ``exempt_strikes`` of them as the case's ``fall_time`` and
       ``own_strikes`` say;
-      ``vehicles_lost``; ``end`` of the flight; ``problems``: the violated requirements.
+      ``vehicles_lost``; ``end`` of the flight; ``problems``: the violated requirements;
+      ``obstacle_contacts``: what touched which obstacle.
     """
 
     mission_time: float
@@ -79,6 +83,7 @@ class FaultTrial:
     hidden_time: float = 0.0
     visible_time: float = 0.0
     exempt_strikes: int = 0
+    obstacle_contacts: tuple[str, ...] = ()
 
 
 class GroundTruthMonitor:
@@ -88,6 +93,7 @@ class GroundTruthMonitor:
     on the ``vehicle`` that must be detected (``hidden_time``) and in which it has one
     (``visible_time``): a slip changes the pulls enough to be measured, another fault moves the
     vehicle out of its tracking radius. ``hidden_slip``: a slip had none at the last sample.
+    Obstacles are touched by vehicles that fly, and by cable that all of them hold.
     """
 
     def __init__(self, flight: SteppedSimulation, case: FailureCase, vehicle: int) -> None:
@@ -101,6 +107,7 @@ class GroundTruthMonitor:
         self._laid_down = False
         self.strand_distance = self.vehicle_distance = np.inf
         self.chord_ratio = 0.0
+        self.obstacle_contacts: dict[str, None] = {}
 
     def sample(self, *, detected: bool = False) -> None:
         """Take a sample, at most one every :data:`SAMPLE_INTERVAL`.
@@ -128,6 +135,19 @@ class GroundTruthMonitor:
         if flying.all():
             (clearances,) = self._monitor.clearances(position[None], "free")
             self.vehicle_distance = min(self.vehicle_distance, clearances.vehicle)
+        self._note_contacts(truth, flying & truth.armed)
+
+    def _note_contacts(self, truth: Truth, flying: npt.NDArray[np.bool_]) -> None:
+        mission = self._flight.flight_plan.plan.mission
+        vehicles, solids = mission.vehicles, obstacles_of(mission)
+        bodies = grown(solids, vehicles.radius, vehicles.grip_offset)
+        for obstacle, solid, body in zip(mission.workspace.obstacles, solids, bodies, strict=True):
+            touching = np.flatnonzero(flying & (distances(body, truth.position) < 0.0))
+            contacts = [f"vehicle {truth.ids[k]} touches {obstacle.name}" for k in touching]
+            held = truth.gripped.all()
+            if held and np.any(distances(solid, truth.cable) < 0.5 * mission.cable.diameter):
+                contacts.append(f"cable touches {obstacle.name}")
+            self.obstacle_contacts |= dict.fromkeys(contacts)
 
     def _sample_effect(self) -> None:
         conductor, k = self._flight.conductor, self._vehicle
@@ -210,6 +230,7 @@ def evaluate(
         hidden_time=monitor.hidden_time,
         visible_time=monitor.visible_time,
         exempt_strikes=monitor.rotor_strikes(system=system) if case.own_strikes else falls,
+        obstacle_contacts=tuple(monitor.obstacle_contacts),
     )
     return replace(trial, problems=find_problems(flight, case, trial))
 
@@ -233,6 +254,7 @@ def find_problems(
         problems.append(f"{strikes} rotor strikes")
     if trial.vehicles_lost > int(case.loses_vehicle):
         problems.append(f"{trial.vehicles_lost} vehicles lost")
+    problems += trial.obstacle_contacts
     strand_distance, vehicle_distance = _certified_distances(flight, case)
     moved = case.moves_certified or case.loses_vehicle
     cable_drifts = case.vehicle_drifts and trial.end != "released and landed"
