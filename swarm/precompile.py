@@ -94,8 +94,9 @@ def compiling(packages: Sequence[str]) -> Iterator[Callable[[Progress | None], N
 
     What is not compiled at the end of the body is left.
     """
-    mark = _mark(packages) if packages else None
-    if mark is None or mark.exists():
+    marks = {package: mark for package in packages if (mark := _mark(package)) is not None}
+    packages = [package for package, mark in marks.items() if not mark.exists()]
+    if not packages:
         yield lambda _progress: None
         return
     with tempfile.TemporaryDirectory(prefix="swarm-") as taken:
@@ -114,8 +115,9 @@ def compiling(packages: Sequence[str]) -> Iterator[Callable[[Progress | None], N
                 if progress is not None:
                     progress(_STAGE, share)
             if not any(process.wait() for process in processes):
-                with suppress(OSError):
-                    mark.touch()
+                for package in packages:
+                    with suppress(OSError):
+                        marks[package].touch()
 
         try:
             with os.fdopen(reading) as lines:
@@ -138,12 +140,12 @@ def _shares(lines: Iterable[str]) -> Iterator[float]:
         yield done / max(total, 1)
 
 
-def _mark(packages: Sequence[str]) -> Path | None:
+def _mark(package: str) -> Path | None:
     """Return the file that says that these sources are compiled; None without a cache."""
     try:
         cache().mkdir(parents=True, exist_ok=True)
         # Numba finds machine code by the path and the time of its file
-        files = sorted(_files(packages).values())
+        files = sorted(_files([package]).values())
         keys = [(file, Path(file).stat().st_mtime_ns, key(file)) for file in files]
     except OSError:
         return None

@@ -1,10 +1,13 @@
 """What is made ready for the tests, and their order, where several processes run all of them."""
 
+import importlib
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
+from pathlib import Path
 
 import hypothesis
 import pytest
@@ -16,6 +19,11 @@ from tests.shared import FOLDER
 # share the cores anyway.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
+# Where the system says to keep no bytecode, each of two hundred processes would make that of three
+# hundred modules for itself, and each process of pytest-xdist that of the tests.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 # A test plans for itself: no plan of the user, or of another test, is read.
 os.environ["SWARM_PLANS"] = ""
 
@@ -25,18 +33,25 @@ hypothesis.settings.register_profile("patient", deadline=None)
 hypothesis.settings.load_profile("patient")
 
 LONGEST = (
-    "test_the_overhand_flies_over_udp_and_leaves_its_record",
     "test_house_rule[mypy]",
+    "test_two_browsers_command_a_flight",
+    "test_the_overhand_flies_over_udp_and_leaves_its_record",
+    "test_the_walk_through_runs_and_prints_its_output",
+    "test_the_command_guides_and_records",
+    "test_the_lines_at_the_top_run_with_a_small_mission",
     "test_a_closed_terminal_and_another_that_attaches",
     "test_after_sigkill_in_the_fold_the_team_is_found",
-    "test_the_walk_through_runs_and_prints_its_output",
-    "test_the_lines_at_the_top_run_with_a_small_mission",
+    "test_a_drawn_failure_of_each_kind",
     "test_trials_in_processes_are_the_trials_flown_alone",
     "test_parameters_are_checked_set_and_restored",
-    "test_a_slow_caller_does_not_delay_the_flight",
+    "test_viewers_that_come_late_see_the_flight",
+    "test_a_flight_stays_safe_and_ends_whatever_happens",
     "test_a_killed_emulator_is_explained",
-    "test_a_closed_pipe_ends_the_screen_and_not_the_flight",
+    "test_a_training_flight_from_command_to_report",
     "test_the_tour_plans_certifies_draws_and_rehearses",
+    "test_a_check_says_what_each_vehicle_gets",
+    "test_a_slow_caller_does_not_delay_the_flight",
+    "test_a_closed_pipe_ends_the_screen_and_not_the_flight",
 )
 """Parts of the names of tests that take ten seconds and more, longest first."""
 
@@ -64,15 +79,36 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ["XDG_STATE_HOME"] = os.environ[FOLDER]
     in_processes = config.getoption("numprocesses", None) and not config.option.collectonly
     if in_processes and config.args == config.getini("testpaths"):
-        precompile.prepare(precompile.PLANNING)
-        precompile.prepare(precompile.FLIGHT)
-        precompile.prepare(precompile.SEARCH)
+        precompile.prepare((*precompile.PLANNING, *precompile.FLIGHT, *precompile.SEARCH))
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
     """Remove what the processes shared."""
     if not hasattr(config, "workerinput"):
         shutil.rmtree(os.environ.pop(FOLDER), ignore_errors=True)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection(session: pytest.Session) -> None:
+    """Import the tests, in each process from another one on: it compiles them for the others.
+
+    All processes need all tests, and what pytest makes of their assertions takes seconds to compile.
+    """
+    config = session.config
+    given: dict[str, object] = getattr(config, "workerinput", {})
+    if not given or config.args != config.getini("testpaths"):
+        return
+    here = Path(__file__).parent
+    paths = sorted(here.rglob("test_*.py"))
+    begin = (
+        len(paths)
+        * int(str(given["workerid"]).removeprefix("gw"))
+        // int(str(given["workercount"]))
+    )
+    for path in paths[begin:] + paths[:begin]:
+        # Whatever fails is imported again, and reported, by the collection.
+        with suppress(Exception, pytest.skip.Exception):
+            importlib.import_module(".".join(path.relative_to(here.parent).with_suffix("").parts))
 
 
 @pytest.hookimpl(trylast=True)

@@ -6,8 +6,8 @@ Everything is deterministic by the seed. Delays are in seconds, one way.
 import heapq
 import itertools
 import json
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -25,10 +25,16 @@ from swarm.mission import Mission, mission_for_knot
 from swarm.mission.fleet import Fleet, emulated_fleet
 from swarm.planning import KnotLayout, KnotSummary, Plan
 from swarm.planning.phase_sequence import flight_around_fold
+from swarm.simulation.stepped_simulation import branch, lasting, nothing_pending
 from tests.shared import shared
 
 Keep = Callable[[float, int, bytes], bool]
 """Whether a packet gets through: time, system id, bytes."""
+
+
+def every(_time: float, _system: int, _data: bytes) -> bool:
+    """All packets get through."""
+    return True
 
 
 def small_mission(*overrides: str) -> Mission:
@@ -95,8 +101,8 @@ class Network:
     lateness: float = 0.0
     early: float = 0.0
     speed: float = 1.0
-    uplink: Keep = lambda *_: True
-    downlink: Keep = lambda *_: True
+    uplink: Keep = every
+    downlink: Keep = every
     events: list[Event] = field(default_factory=list)
     sent: list[tuple[float, int, bytes]] = field(default_factory=list)
     now: float = 0.0
@@ -147,6 +153,33 @@ class Network:
         self.run(lambda: self.conductor.clock.time >= start)
         assert self.conductor.stage == "execute", self.words()[-12:]
 
+    def in_fold(self, after: float) -> "Network":
+        """Return this flight, which has not begun, so many seconds into the fold.
+
+        The way there is flown once by a process for all flights that begin alike.
+        """
+        assert self._tick == 0
+        own = (every, getattr(self, "kept", every))
+        alike = self.uplink in own and self.downlink in own
+        flown = _FLOWN.setdefault(self._beginning(), self) if alike else self
+        start = self.flight_plan.plan.phase("fold").start
+        flown.run(
+            lambda: (
+                flown.conductor.clock.time >= start
+                and nothing_pending(flown.conductor, flown.emulator)
+            )
+        )
+        flight = branch(flown, (flown.flight_plan, flown.fleet, *lasting(flown.conductor)))
+        flight.until_phase("fold", after)
+        return flight
+
+    def _beginning(self) -> Hashable:
+        """Return what determines the flight up to a command; equal for flights that begin alike."""
+        aside = {"events", "sent", "uplink", "downlink"}
+        given = [getattr(self, one.name) for one in fields(self) if one.name not in aside]
+        plan = self.flight_plan
+        return (type(self), *(id(one) if one is plan else repr(one) for one in given))
+
     def until_time(self, seconds: float) -> None:
         """Run for so many seconds."""
         end = self.now + seconds
@@ -176,3 +209,7 @@ class Network:
                 self.emulator.receive(system, data, now)
             else:
                 self.conductor.receive("loopback", system, data, now - self.early)
+
+
+_FLOWN: dict[Hashable, Network] = {}
+"""Flights of this process at the beginning of their fold, by what determines them."""

@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[1]
 @pytest.fixture(scope="module")
 def scheduler():
     cluster = subprocess.Popen(
-        [sys.executable, str(ROOT / "missions" / "cluster.py"), "--port", "0"],
+        [sys.executable, str(ROOT / "missions" / "cluster.py"), "--port", "0", "--workers", "1"],
         stdout=subprocess.PIPE, text=True, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert cluster.stdout is not None

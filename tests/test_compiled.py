@@ -191,7 +191,7 @@ def test_another_installation_of_the_same_sources_is_compiled_beforehand_too(tmp
         monkeypatch.setattr(
             precompile, "_files", lambda _, path=path: {"twice_installed": str(path)}
         )
-        marks.append(precompile._mark(["twice_installed"]))
+        marks.append(precompile._mark("twice_installed"))
     assert None not in marks
     assert len({*marks[:3]}) == 3
     assert marks[2] == marks[3]

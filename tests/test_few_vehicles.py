@@ -28,6 +28,7 @@ def test_the_fewest_vehicles_for_an_overhand_are_five() -> None:
     )
 
 
+@pytest.mark.full
 def test_an_overhand_with_six_vehicles_is_cleared() -> None:
     mission = mission_for_knot("overhand", ["vehicles.count=6"])
     result = planner.plan(mission, robustness=False)

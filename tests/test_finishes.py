@@ -14,7 +14,7 @@ from swarm.planning.finishes import MAX_TIGHTENED_SHARE
 from swarm.planning.formation import formation_plan
 from swarm.planning.phase_sequence import flight_around_fold
 from tests.certification.conftest import recorded_overhand
-from tests.network import Network, small_plan
+from tests.network import Network, small_plan, uncleared
 
 TIED_ON = ("grab=attached", "vehicles.breakaway=6.0")
 BEFORE = ("takeoff", "grab", "contract", "lift", "fold", "hold")
@@ -109,11 +109,20 @@ def test_a_cable_that_is_tied_on_is_lifted_from_below_the_line() -> None:
     )  # fmt: skip
     assert not any(gate.condition == "released" for gate in plan.gates)
     np.testing.assert_allclose(at(plan, "takeoff")[:, :2], at(plan, "fold")[:, :2], atol=1e-9)
-    assessment = assess(plan)
+
+
+@pytest.mark.full
+def test_an_overhand_is_tied_in_a_cable_that_is_tied_on() -> None:
+    assessment = assess(finished("finish=hold", *TIED_ON))
     assert assessment.cleared
-    breakaway = [f.message for f in assessment.findings if f.check == "breakaway"]
-    assert breakaway[0].endswith("; the tied cable breaks away at 6 N")
-    torn = assess(finished("finish=hold", "grab=attached", "vehicles.breakaway=0.5"))
+    assert (assessment.knot, assessment.chirality) == ("3_1", "right")
+
+
+def test_a_tied_cable_that_breaks_away_too_early_is_refused() -> None:
+    findings = small_plan("finish=hold", *TIED_ON).assessment.findings
+    (breakaway,) = [finding.message for finding in findings if finding.check == "breakaway"]
+    assert breakaway.endswith("; the tied cable breaks away at 6 N")
+    torn = uncleared("finish=hold", "grab=attached", "vehicles.breakaway=0.1").assessment
     assert [f.check for f in torn.findings if f.severity == "error"] == ["breakaway"]
 
 

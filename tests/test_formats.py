@@ -17,7 +17,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from mcap_ros2.decoder import DecoderFactory as RosDecoderFactory
 from ruamel.yaml import YAML
 
-from swarm.certification.certificate import CertifiedPlan, certify
+from swarm.certification.certificate import CertifiedPlan
 from swarm.cli.exporting import export_plan
 from swarm.flight.snapshot import Event
 from swarm.flight.trace import Trace
@@ -32,7 +32,7 @@ from swarm.ground.record_reader import recorded_flight, recorded_plan
 from swarm.planner import PlanningResult
 from swarm.planning.cable_shape import cable_shape
 from tests import command
-from tests.certification.conftest import recorded_overhand
+from tests.certification.conftest import certified_overhand
 from tests.flight.test_resuming import BEGAN, cut_off_record
 from tests.network import small_plan
 from tests.reports.synthetic import trefoil_plan
@@ -64,8 +64,7 @@ def xyz(point) -> list[float]:
 @pytest.fixture(scope="module")
 def cleared() -> CertifiedPlan:
     """A cleared plan of an overhand, of 100 pieces and more."""
-    plan = recorded_overhand()
-    return CertifiedPlan(plan, certify(plan))
+    return certified_overhand()
 
 
 @pytest.fixture(scope="module")

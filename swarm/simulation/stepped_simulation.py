@@ -133,6 +133,13 @@ def lasting(flight: Conductor) -> tuple[object, ...]:
     return setup, setup.monitor, flight.state.stream_loss, *flight.state.recorder.samples
 
 
+def nothing_pending(flight: Conductor, emulator: Emulator) -> bool:
+    """Return whether no command and no delayed action is pending, which a copy would lose."""
+    return all(vehicle.commands.idle for vehicle in flight.flyers) and not any(
+        vehicle.timers for vehicle in emulator.vehicles
+    )
+
+
 @dataclass(eq=False)
 class SteppedSimulation(Simulation):
     """A flight in equal steps of virtual time, which can be copied."""
@@ -173,10 +180,8 @@ class SteppedSimulation(Simulation):
 
     @property
     def can_be_copied(self) -> bool:
-        """Whether no command and no delayed action is pending, which a copy would lose."""
-        return all(vehicle.commands.idle for vehicle in self.conductor.flyers) and not any(
-            vehicle.timers for vehicle in self.emulator.vehicles
-        )
+        """Whether nothing is pending that a copy would lose."""
+        return nothing_pending(self.conductor, self.emulator)
 
 
 class FirstAckLoss:

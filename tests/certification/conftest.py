@@ -3,7 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarm.certification.assessment import Assessment, assess
+from swarm.certification.assessment import Assessment
+from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.geometry.motion import through_states
 from swarm.mission import parse_mission
 from swarm.planning import Gate, KnotLayout, KnotSummary, Phase, Plan
@@ -48,10 +49,11 @@ def overhand() -> Plan:
 
 
 @shared
-def recorded_overhand_assessed() -> Assessment:
-    return assess(recorded_overhand())
+def certified_overhand() -> CertifiedPlan:
+    plan = recorded_overhand()
+    return CertifiedPlan(plan, certify(plan))
 
 
 @pytest.fixture(scope="session")
 def overhand_assessed() -> Assessment:
-    return recorded_overhand_assessed()
+    return certified_overhand().assessment

@@ -3,7 +3,9 @@
 Against brute force on densely sampled strands, without code of the certificate.
 """
 
+from collections.abc import Collection
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -34,8 +36,8 @@ POST = (
 FENCE = "workspace.fence=[[-4,-4],[8,-4],[8,8],[2,8],[2,5],[-4,5]]"
 
 
-def brute(plan: Plan, grips: np.ndarray) -> dict[str, float]:
-    """The smallest margin of each kind of clearance at grip points (n, 3)."""
+def brute(plan: Plan, grips: np.ndarray, kinds: Collection[str] = NAMES) -> dict[str, float]:
+    """The smallest margins at grip points (n, 3): of all kinds of clearance, or of some at least."""
     mission, n = plan.mission, len(grips)
     clearance, vehicles, thin = mission.clearance, mission.vehicles, 0.5 * mission.cable.diameter
     lengths = plan.layout.lengths
@@ -57,6 +59,8 @@ def brute(plan: Plan, grips: np.ndarray) -> dict[str, float]:
             )
         for k, strand in enumerate(strands):
             own = k in (i - 1, i)
+            if ("rotor disc" if own else "vehicle-cable clearance") not in kinds:
+                continue
             tip = vehicles.grip_offset if own else 0.0
             apart = from_cone(strand - grips[i], vehicles.radius, vehicles.grip_offset, tip)
             needed = 0.0 if own else clearance.vehicle_cable
@@ -66,9 +70,12 @@ def brute(plan: Plan, grips: np.ndarray) -> dict[str, float]:
         count("taut", 0.985 * lengths[i] - np.linalg.norm(grips[i + 1] - grips[i]))
         count("floor", strand[:, 2].min() - thin - clearance.floor)
         count("obstacle", from_post(strand).min() - thin - clearance.obstacle)
-        for point in strand[::8]:
+        for point in strand[::8] if "fence" in kinds else ():
             count("fence", inside(point[:2], mission.workspace.fence) - thin)
         for j in range(i + 1, n - 1):
+            kind = "neighbouring segments" if j == i + 1 else "cable clearance"
+            if kind not in kinds:
+                continue
             apart = np.linalg.norm(strand[:, None] - strands[j][None], axis=2)
             if j == i + 1:
                 near = min(beyond, 0.5 * lengths[i], 0.5 * lengths[j])
@@ -76,7 +83,6 @@ def brute(plan: Plan, grips: np.ndarray) -> dict[str, float]:
                 other = np.linspace(0.0, lengths[j], SAMPLES + 1)
                 exempt = (lengths[i] - arc < near)[:, None] & (other < near)[None]
                 apart[exempt] = np.inf
-            kind = "neighbouring segments" if j == i + 1 else "cable clearance"
             count(kind, apart.min() - 2.0 * thin - clearance.cable)
     return found
 
@@ -143,6 +149,7 @@ MOVES = {
 """Grip points with lengths, and the step of a vehicle by which a kind falls short first."""
 
 
+@cache
 def place_with(kind: str, margin: float) -> np.ndarray:
     """The grip points on the way of a kind's vehicle at which it has a margin."""
     start, lengths, vehicle, step = MOVES[kind]
@@ -150,7 +157,7 @@ def place_with(kind: str, margin: float) -> np.ndarray:
     for _ in range(14):
         share, there = 0.5 * (near + far), start.copy()
         there[vehicle] += share * np.array(step)
-        near, far = (share, far) if brute(still, there)[kind] > margin else (near, share)
+        near, far = (share, far) if brute(still, there, {kind})[kind] > margin else (near, share)
     return there
 
 

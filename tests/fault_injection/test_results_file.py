@@ -67,7 +67,7 @@ def run_two_cases(earlier_results=()):
     cases = [case for case in FAILURE_CASES if case.name in {"disarms", "interrupted twice"}]
     tests = run_failure_tests(
         PLAN,
-        FailureTestSettings(cases, ["px4"], times=2),
+        FailureTestSettings(cases, ["px4"], times=1),
         jobs=1,
         earlier_results=earlier_results,
         on_result=new_results.append,

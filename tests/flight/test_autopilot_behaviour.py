@@ -59,8 +59,7 @@ def test_ardupilots_that_boot_are_waited_for_and_not_pestered():
 
 
 def test_a_px4_that_leaves_offboard_is_detected_between_its_heartbeats():
-    flight = network(("px4",))
-    flight.until_phase("fold", 2.0)
+    flight = network(("px4",)).in_fold(2.0)
     victim, since = flight.emulator.vehicles[1], flight.now
     flight.until_time(0.1)
     victim.autopilot.leave_offboard()
@@ -81,8 +80,7 @@ def test_an_older_px4_without_mode_messages_flies_by_its_heartbeats():
 
 
 def test_a_refused_rate_does_not_end_a_flight():
-    flight = network(("px4",))
-    flight.until_phase("fold", 1.0)
+    flight = network(("px4",)).in_fold(1.0)
     flight.conductor.flyers[0].request_interval(int(common.MAVLINK_MSG_ID_HEARTBEAT), 4.0)
     flight.until_time(2.0)
     assert "interval of HEARTBEAT: failed" in flight.words("failed")

@@ -335,8 +335,7 @@ def test_a_hold_ends_after_t_and_a_recovered_hold_begins_anew():
 
 
 def test_a_gate_that_is_not_passed_in_time_lands_the_team():
-    flight = Network(small_plan())
-    flight.until_phase("fold", 0.0)
+    flight = Network(small_plan()).in_fold(0.0)
     state = branch(flight.conductor, lasting(flight.conductor)).state
     gates = state.setup.gates
     index = next(k for k, gate in enumerate(gates) if gate.condition == "released")

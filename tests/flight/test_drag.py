@@ -1,5 +1,7 @@
 """The drag of vehicles, fed forward in the accelerations of their setpoints."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,7 @@ from tests.overhand import planned_overhand
 PLAN = small_plan()
 
 
+@cache
 def flown(autopilot: str, drag: float) -> Trace:
     fleet = emulated_fleet(3, (autopilot,))
     vehicles = tuple(one.model_copy(update={"drag": drag}) for one in fleet.vehicles)
@@ -97,8 +100,9 @@ def test_a_drag_of_the_fleet_file_counts_instead_of_the_fitted_one() -> None:
         one.model_copy(update={"drag": drag})
         for one, drag in zip(fleet.vehicles, drags, strict=True)
     )
-    network = Network(small_plan(vehicles=4), fleet.model_copy(update={"vehicles": vehicles}))
-    network.until_phase("fold", 3.0)
+    network = Network(
+        small_plan(vehicles=4), fleet.model_copy(update={"vehicles": vehicles})
+    ).in_fold(3.0)
     flight = network.conductor.state
     fit(flight.detectors.grip_slip, 4, 0.2)
     fitted = flight.detectors.grip_slip.drag

@@ -20,8 +20,7 @@ TOO_NEAR = uncleared("clearance.vehicle=3.5")
 
 @pytest.mark.parametrize("early", [0.0, 0.013], ids=["in step", "between ticks"])
 def test_a_position_jump_is_detected_at_any_time_of_its_report(early):
-    flight = Network(PLAN, early=early)
-    flight.until_phase("fold", 1.0)
+    flight = Network(PLAN, early=early).in_fold(1.0)
     flight.emulator.inject(Fault(at=0.0, kind="gps_jump", vehicle=2, offset=(2.0, 0.0, 0.0)))
     flight.run(lambda: flight.conductor.stage == "contingency", most=5.0)
     assert any("vehicle 2's position jumped by 2.0 m" in words for words in flight.words())
@@ -47,8 +46,7 @@ def test_an_open_loop_flight_keeps_its_pace():
 
 
 def test_a_vehicle_that_a_fallen_neighbour_pulls_down_for_a_moment_stays_in_the_team():
-    flight = Network(PLAN)
-    flight.until_phase("fold", 3.0)
+    flight = Network(PLAN).in_fold(3.0)
     began, (_, fallen, pulled) = flight.now, (one.system for one in flight.conductor.flyers)
     faults = (
         {"at": began, "vehicle": fallen, "kind": "motor_loss"},
@@ -112,8 +110,7 @@ def test_a_stall_of_the_ground_station_is_its_own_failure_and_no_silence_of_vehi
 
 def test_a_vehicle_that_is_silent_before_a_stall_is_still_found_silent():
     """Also where the ground station stalls again and again: only the time that it runs counts."""
-    flight = Network(PLAN)
-    flight.until_phase("fold", 3.0)
+    flight = Network(PLAN).in_fold(3.0)
     began, silent = flight.now, flight.conductor.flyers[1].system
     flight.downlink = lambda _now, system, _data: system != silent
     while not flight.words("failure"):

@@ -87,8 +87,7 @@ def test_arming_is_never_forced_and_no_vehicle_returns_to_launch():
 
 
 def test_hold_stops_along_the_path_and_resume_goes_on():
-    flight = network(no_cable=True)
-    flight.until_phase("fold", 2.0)
+    flight = network(no_cable=True).in_fold(2.0)
     flight.conductor.request("hold")
     flight.until_time(9.5)
     stood = flight.conductor.clock.time
@@ -102,8 +101,7 @@ def test_hold_stops_along_the_path_and_resume_goes_on():
 
 
 def test_a_hold_without_a_command_becomes_a_landing():
-    flight = Network(PLAN, patient_for(5.0), no_cable=True)
-    flight.until_phase("fold", 2.0)
+    flight = Network(PLAN, patient_for(5.0), no_cable=True).in_fold(2.0)
     flight.conductor.request("hold")
     outcome = flight.run(most=60.0)
     assert outcome.word == "interrupted"
@@ -138,8 +136,7 @@ def test_nothing_runs_back_through_a_grip():
 
 @pytest.mark.parametrize("autopilots", AUTOPILOTS, ids="-".join)
 def test_landing_brings_all_vehicles_straight_down_together(autopilots):
-    flight = network(autopilots)
-    flight.until_phase("fold", 3.0)
+    flight = network(autopilots).in_fold(3.0)
     flight.conductor.request("land")
     flight.run(lambda: flight.conductor.state.guidance.descending)
     above = flight.emulator.truth().position
@@ -152,8 +149,7 @@ def test_landing_brings_all_vehicles_straight_down_together(autopilots):
 
 
 def test_release_drops_the_cable_and_moves_apart():
-    flight = network()
-    flight.until_phase("fold", 3.0)
+    flight = network().in_fold(3.0)
     flight.conductor.request("release")
     outcome = flight.run(most=90.0)
     assert outcome.word == "interrupted"
@@ -191,8 +187,7 @@ def test_before_arming_an_interrupt_just_ends():
 
 
 def test_one_silent_vehicle_holds_the_team_and_after_t_all_land_as_its_failsafe_does():
-    flight = Network(PLAN, patient_for(8.0), no_cable=True)
-    flight.until_phase("fold", 1.0)
+    flight = Network(PLAN, patient_for(8.0), no_cable=True).in_fold(1.0)
     since = flight.now
     flight.downlink = lambda _now, system, _data: system != 2
     flight.run(lambda: flight.conductor.holding is not None, most=3.0)
@@ -207,8 +202,7 @@ def test_one_silent_vehicle_holds_the_team_and_after_t_all_land_as_its_failsafe_
 
 
 def test_a_short_silence_is_only_a_hold():
-    flight = network(no_cable=True)
-    flight.until_phase("fold", 1.0)
+    flight = network(no_cable=True).in_fold(1.0)
     start = flight.now
     flight.downlink = lambda now, system, _data: system != 2 or now > start + 2.0
     assert flight.run().word == "done"
@@ -216,8 +210,7 @@ def test_a_short_silence_is_only_a_hold():
 
 
 def test_a_team_whose_packets_stop_holds_and_is_landed_blind():
-    flight = Network(PLAN, patient_for(8.0), no_cable=True)
-    flight.until_phase("fold", 1.0)
+    flight = Network(PLAN, patient_for(8.0), no_cable=True).in_fold(1.0)
     since = flight.now
     flight.downlink = lambda *_: False
     outcome = flight.run(most=80.0)
@@ -246,8 +239,9 @@ def test_vehicles_that_are_never_received_are_named_after_real_time(speed):
 def test_a_vehicle_that_leaves_offboard_is_not_streamed_to_again(autopilots):
     fleet = patient_for(6.0)
     vehicles = tuple(v.model_copy(update={"autopilot": autopilots[0]}) for v in fleet.vehicles)
-    flight = Network(PLAN, fleet.model_copy(update={"vehicles": vehicles}), no_cable=True)
-    flight.until_phase("fold", 1.0)
+    flight = Network(PLAN, fleet.model_copy(update={"vehicles": vehicles}), no_cable=True).in_fold(
+        1.0
+    )
     change_mode(flight, 2, {"px4": (4, 3), "ardupilot": (5, 0)}[autopilots[0]])
     flight.run(lambda: flight.conductor.holding is not None, most=2.0)
     since = flight.now
@@ -269,8 +263,7 @@ def change_mode(flight: Network, system: int, mode: tuple[int, int]) -> None:
 
 
 def test_a_vehicle_that_left_rejoins_from_where_it_is_when_the_operator_agrees():
-    flight = network(no_cable=True)
-    flight.until_phase("fold", 2.0)
+    flight = network(no_cable=True).in_fold(2.0)
     change_mode(flight, 2, (4, 3))
     flight.run(lambda: flight.conductor.clock.stopped, most=6.0)
     flight.until_time(1.0)
@@ -292,8 +285,7 @@ def test_a_vehicle_that_left_rejoins_from_where_it_is_when_the_operator_agrees()
 
 def test_the_ground_station_may_sleep_and_no_setpoint_jumps():
     """One second without a tick is not made up for: mission time waits meanwhile."""
-    flight = network(no_cable=True)
-    flight.until_phase("fold", 4.0)
+    flight = network(no_cable=True).in_fold(4.0)
     before, was = flight.conductor.clock.time, flight.conductor.state.streams.setpoint.copy()
     flight._tick += 20
     flight.once()
@@ -359,8 +351,7 @@ def test_a_vehicle_is_received_only_from_its_first_address():
 
 
 def test_a_link_that_loses_a_fifth_is_no_lost_station_and_setpoints_come_at_their_rate():
-    flight = network(no_cable=True)
-    flight.until_phase("fold", 5.0)
+    flight = network(no_cable=True).in_fold(5.0)
     end = flight.now
     window = [(t, k) for t, system, k, *_ in sent_to(flight) if system == 3 and t > end - 10.0]
     heartbeats = sum(kind == "heartbeat" for _, kind in window)

@@ -54,8 +54,7 @@ def test_neither_the_fold_nor_a_gale_nor_lost_packets_look_like_it(folding):
 def test_a_flight_without_cable_has_none_to_lose(monkeypatch):
     """Grips are simulated then, and nobody leans as the model says."""
     monkeypatch.setattr(GripSlipDetector, "evaluate", lambda *_: 0)
-    flight = Network(PLAN, emulated_fleet(5), no_cable=True)
-    flight.until_phase("fold", 2.0)
+    flight = Network(PLAN, emulated_fleet(5), no_cable=True).in_fold(2.0)
     assert all(vehicle.gripped for vehicle in flight.conductor.flyers)
     assert not [words for words in flight.words() if "slip" in words]
 

@@ -129,7 +129,17 @@ def test_three_bodies_in_a_ring():
     ]
 
 
-@pytest.mark.parametrize("bodies", list(itertools.permutations(range(1, 5))))
+EACH_KIND = {(1, 2, 3, 4), (1, 2, 4, 3), (2, 1, 4, 3), (1, 3, 4, 2), (2, 3, 4, 1)}
+"""No exchange, of two bodies, of two and two, in a ring of three and of four."""
+
+
+@pytest.mark.parametrize(
+    "bodies",
+    [
+        pytest.param(bodies, marks=() if bodies in EACH_KIND else pytest.mark.full)
+        for bodies in itertools.permutations(range(1, 5))
+    ],
+)
 def test_every_exchange_is_found(bodies):
     on = dict(zip(range(1, 5), bodies, strict=True))
     identification, _ = Hall(4, on, noise=0.005, gaps=0.1, seed=3).identified()

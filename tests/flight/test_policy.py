@@ -61,8 +61,7 @@ GOLDENS = Path(__file__).parents[1] / "golden" / "failures"
 @pytest.fixture(scope="module")
 def folding():
     """A team in its fold whose clock is at rest."""
-    flight = Network(PLAN)
-    flight.until_phase("fold", 3.0)
+    flight = Network(PLAN).in_fold(3.0)
     flight.conductor.request("hold")
     flight.run(lambda: flight.conductor.clock.stopped, most=10.0)
     flight.conductor.request("resume")

@@ -29,9 +29,9 @@ class Recorded(Network):
         set_audited_parameters(self.emulator, self.flight_plan, self.fleet)
         self.tlog = bytearray()
         self.clock_encoder = ClockEncoder(self.flight_plan.plan)
-        self.downlink = lambda now, _system, data: self._keep(now, data)
+        self.downlink = self.kept
 
-    def _keep(self, now, data):
+    def kept(self, now, _system, data):
         from swarm.mavlink.packets import split_packets
 
         for packet in split_packets(data)[0]:
@@ -42,17 +42,17 @@ class Recorded(Network):
         before = len(self.sent)
         super().once()
         for now, _, data in self.sent[before:]:
-            self._keep(now, data)
+            self.kept(now, 0, data)
         conductor = self.conductor
         if conductor.stage in {"ready", "execute", "contingency"}:
             phase = conductor.phase.name if conductor.stage == "execute" else ""
-            self._keep(self.now, self.clock_encoder.encode(self.now, conductor.clock.time, phase))
+            data = self.clock_encoder.encode(self.now, conductor.clock.time, phase)
+            self.kept(self.now, 0, data)
 
 
 def cut_off_record(folder):
     """Write the record of a flight that was cut off in its fold, and return its folder."""
-    flight = Recorded(small_plan())
-    flight.until_phase("fold", 2.0)
+    flight = Recorded(small_plan()).in_fold(2.0)
     kept = Record(folder, BEGAN)
     kept.before(flight.flight_plan, flight.conductor.basis, flight.fleet, {})
     for event in flight.events:
@@ -64,8 +64,7 @@ def cut_off_record(folder):
 
 def broken_off(autopilots, after, silent_for, *, no_cable=False):
     """A flight that was killed so long into its fold, and the emulator some seconds later."""
-    flight = Recorded(PLAN, emulated_fleet(3, autopilots), no_cable=no_cable)
-    flight.until_phase("fold", after)
+    flight = Recorded(PLAN, emulated_fleet(3, autopilots), no_cable=no_cable).in_fold(after)
     flight.uplink = lambda *_: False
     left = left_off(bytes(flight.tlog), PLAN.plan, flight.fleet)
     assert left.gripped
@@ -184,7 +183,7 @@ def test_a_resumed_flight_is_replayed_in_the_frames_of_its_record():
             read_frames(wrong, PLAN.plan)
     flight.tlog.clear()
     taken_up(flight, left, "continue")
-    flight.downlink = lambda now, _system, data: flight._keep(now, data)
+    flight.downlink = flight.kept
     assert flight.run(most=300.0).word == "done"
     told = replay(bytes(flight.tlog), PLAN.plan, flight.fleet, known).trace
     folding = np.array(told.phase) == "fold"

@@ -26,8 +26,7 @@ SECONDS = 4.0
 
 def flown(attack=None):
     """The setpoints and commands of a short stretch of the fold, with an attack on every tick."""
-    flight = Network(PLAN, emulated_fleet(3, ("px4", "ardupilot")), no_cable=True)
-    flight.until_phase("fold", 1.0)
+    flight = Network(PLAN, emulated_fleet(3, ("px4", "ardupilot")), no_cable=True).in_fold(1.0)
     flight.sent.clear()
     end = flight.now + SECONDS
     while flight.now < end:
@@ -144,8 +143,7 @@ def test_nothing_that_other_components_say_changes_a_packet(quiet, apart):
 def fuzzed(count, seed):
     """Any message of any component, damaged copies of what vehicles say, and noise, from the
     vehicles' own addresses."""
-    flight = Network(PLAN, emulated_fleet(3), no_cable=True)
-    flight.until_phase("fold", 1.0)
+    flight = Network(PLAN, emulated_fleet(3), no_cable=True).in_fold(1.0)
     rng, chance = np.random.default_rng(seed), random.Random(seed)
     heard = []
     flight.downlink = lambda _now, _system, data: heard.append(data) or True

@@ -18,8 +18,7 @@ def number(packet):
 
 
 def test_whatever_else_is_due_goes_out_behind_the_setpoints():
-    flight = Network(small_plan())
-    flight.until_phase("fold", 1.0)
+    flight = Network(small_plan()).in_fold(1.0)
     flight.sent.clear()
     flight.until_time(3.0)
     ticks = {}

@@ -193,8 +193,7 @@ def test_strands_may_swing_as_far_as_tube_and_budget_say():
 
 
 def test_a_flight_records_the_swing_while_the_cable_is_aloft():
-    flown = Network(small_plan(vehicles=4))
-    flown.until_phase("fold", 1.0)
+    flown = Network(small_plan(vehicles=4)).in_fold(1.0)
     shown = flown.conductor.snapshot(flown.now)
     assert shown.stray.shape == (3,)
     assert shown.cable.shape[::2] == (3, 3)

@@ -44,8 +44,7 @@ def test_every_wait_of_a_flight_is_a_sentence_with_its_gate_and_the_time_left():
 
 
 def test_a_hold_has_its_cause_and_the_time_until_the_landing():
-    flight = network()
-    flight.until_phase("fold", 2.0)
+    flight = network().in_fold(2.0)
     before = shown(flight)
     assert (before.held, before.time_left, before.waiting_for) == (None, None, None)
     assert before.remaining >= PLAN.plan.duration - before.mission_time
@@ -62,8 +61,7 @@ def test_a_hold_has_its_cause_and_the_time_until_the_landing():
 
 
 def test_a_rewind_ends_where_errors_were_large_and_says_so():
-    flight = network()
-    flight.until_phase("fold", 3.0)
+    flight = network().in_fold(3.0)
     limit = flight.conductor.state.progress.error_kept_since = flight.conductor.clock.time
     flight.until_time(3.0)
     why = "tracking errors were too large there"

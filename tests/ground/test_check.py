@@ -188,7 +188,7 @@ FENCED = "workspace.fence=[[-30, -30], [30, -30], [30, 30], [-30, 30]]"
 
 def test_the_missions_fence_is_uploaded_and_the_one_before_restored(tmp_path):
     fleet, plan = emulated_fleet(3, ("px4", "ardupilot")), small_plan(FENCED)
-    report = check(fleet, tmp_path / "first", plan)
+    report = check(fleet, tmp_path / "first", plan, CheckOptions(prepared=True))
     has_none = "has no fence; swarm check MISSION --fence uploads the mission's"
     assert fence_messages(report) == [f"system {k}: {has_none}" for k in (1, 2, 3)]
     options = CheckOptions(fence=True, confirm_fix=lambda _: True, restore=tmp_path / "first")
@@ -204,7 +204,8 @@ def test_the_missions_fence_is_uploaded_and_the_one_before_restored(tmp_path):
     path = tmp_path / "second" / "fences" / "3.json"
     items = [item._asdict() for item in polygon([(47.3, 8.5), (47.3, 8.6), (47.5, 8.6)])]
     path.write_text(json.dumps(items))
-    restored = check(fleet, tmp_path / "third", plan, CheckOptions(restore=path.parent.parent))
+    options = CheckOptions(restore=path.parent.parent, prepared=True)
+    restored = check(fleet, tmp_path / "third", plan, options)
     assert "system 3: fence of 3 items uploaded" in restored.parameters_set
     assert fence_messages(restored)[2] == (
         "system 3: has another fence than the mission's (3 items): swarm check MISSION --fence "
