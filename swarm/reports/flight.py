@@ -212,12 +212,14 @@ def _largest_fold_error(outcome: Document) -> float | None:
 def clearance_table(clearance: Document) -> Table:
     """Return flown beside certified distances; no row where none was flown.
 
-    A clearance of two things that the plan does not have has no row.
+    A clearance of two things that the plan does not have has no row, nor has one that only another
+    row's things are certified for: of two segments, those that follow each other.
     """
+    measured = [both["certified"] for both in clearance.values() if both["flown"]]
     rows: list[tuple[str | Cell, ...]] = []
     for figure, both in clearance.items():
         flown, held = both["flown"], both["certified"]
-        if flown is None and held["distance"] is None:
+        if flown is None and (held["distance"] is None or held in measured):
             continue
         figures = certified(held["distance"]), metres((flown or held)["required"])
         if flown is None:
