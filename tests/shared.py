@@ -5,6 +5,7 @@ import functools
 import hashlib
 import os
 import pickle
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar
@@ -14,6 +15,17 @@ T = TypeVar("T")
 
 FOLDER = "SWARM_TESTS_SHARED"
 """The variable that names the folder of this run; `tests/conftest.py` makes and removes it."""
+
+
+@functools.cache
+def drawn_by_program() -> int:
+    """A seed for what is drawn by the program's text.
+
+    The same program flies the same failures on every machine, and each change of it flies others.
+    """
+    root = Path(__file__).parents[1]
+    sources = sorted(path for part in ("swarm", "sitl") for path in (root / part).rglob("*.py"))
+    return zlib.crc32(b"".join(path.read_bytes() for path in sources))
 
 
 def shared(make: Callable[P, T]) -> Callable[P, T]:

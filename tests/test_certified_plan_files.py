@@ -142,11 +142,10 @@ def stating_more(document) -> None:
     document["findings"].pop()
 
 
-@pytest.mark.parametrize("checks", ["0123456789abcdef", None])
-def test_a_file_of_another_version_is_certified_anew_and_never_believed(checks):
+def test_a_file_of_another_version_is_certified_anew_and_never_believed():
     shown = reviewed().assessment
     planned, notice = read_certified(
-        forged("certificate.json", stating_more, checks=checks), "a.plan"
+        forged("certificate.json", stating_more, checks="0123456789abcdef"), "a.plan"
     )
     assert planned.certificate.digest == digest(reviewed().plan)
     assert planned.assessment.robustness == shown.robustness

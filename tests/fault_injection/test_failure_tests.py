@@ -7,7 +7,6 @@ at twenty random times with every team, tying a knot.
 import ast
 import functools
 import re
-import zlib
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -47,6 +46,7 @@ from swarm.simulation.stepped_simulation import (
     failure_test_fleet,
 )
 from tests.network import small_plan
+from tests.shared import drawn_by_program
 
 ROOT = Path(__file__).parents[2]
 PLAN = small_plan(vehicles=3)
@@ -72,11 +72,9 @@ def in_fold(team: TeamAutopilots, seconds: float) -> SteppedSimulation:
 def drawn() -> tuple[int, dict[TeamAutopilots, list[FailureCase]]]:
     """A seed, and the cases of each team: every kind of failure once, with one team.
 
-    Of gaps, one of several durations. Drawn by the program's text: the same program flies the same
-    failures on every machine, and each change of it flies others.
+    Of gaps, one of several durations.
     """
-    sources = sorted(path for part in ("swarm", "sitl") for path in (ROOT / part).rglob("*.py"))
-    seed = zlib.crc32(b"".join(path.read_bytes() for path in sources))
+    seed = drawn_by_program()
     rng, kinds = np.random.default_rng(seed), {}
     for case in FAILURE_CASES:
         kinds.setdefault(re.sub(r"gap of [\d.]+ s", "gap", case.name), []).append(case)

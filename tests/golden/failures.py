@@ -46,13 +46,20 @@ def name_of(case: FailureCase) -> str:
 NAMES: Mapping[str, FailureCase] = {name_of(case): case for case in FAILURE_CASES}
 
 
-def make(name: str) -> str:
-    """Fly a case with each team and return its golden."""
+def make(name: str, teams: Sequence[TeamAutopilots] = TEAMS) -> str:
+    """Fly a case with each team and return its golden, or the part of some teams."""
     case = NAMES[name]
     lines = [f"# failure: {case.name}", f"# environment: {environment()}"]
-    for team in TEAMS:
+    for team in teams:
         lines += ["", *_flown(case, team)]
     return "\n".join(lines) + "\n"
+
+
+def of_team(text: str, team: TeamAutopilots) -> str:
+    """Return the part of a golden that :func:`make` returns for one team."""
+    heading, *flown = text.removesuffix("\n").split("\n\n")
+    (part,) = [each for each in flown if each.startswith(f"# team {team} ")]
+    return f"{heading}\n\n{part}\n"
 
 
 def _flown(case: FailureCase, team: TeamAutopilots) -> list[str]:

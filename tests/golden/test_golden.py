@@ -6,24 +6,39 @@ the differences that it shows.
 
 import json
 import re
+import zlib
 
 import pytest
 
 from tests.golden import failures, flights, plans
 from tests.golden.cases import CASES, left_over
 from tests.golden.environment import environment, environment_of
+from tests.shared import drawn_by_program
+
+FAILURES = [case for case in CASES if case.name.startswith("failures/")]
 
 
 def _parameters():
     for case in CASES:
         how = "to the last bit" if case.exact else "within tolerances"
-        marks = () if case.quick else (pytest.mark.full,)
+        marks = () if case.quick and case not in FAILURES else (pytest.mark.full,)
         yield pytest.param(case, id=f"{case.name}, {how}", marks=marks)
 
 
 @pytest.mark.parametrize("case", list(_parameters()))
 def test_it_is_what_it_was(case):
     assert case.check() == []
+
+
+@pytest.mark.parametrize(
+    "case", [case for case in FAILURES if case.quick], ids=lambda case: case.name
+)
+def test_a_failure_of_a_drawn_team_is_what_it_was(case):
+    """Of each kind of failure; ``-m full`` flies each with both teams."""
+    name = case.name.removeprefix("failures/")
+    team = failures.TEAMS[zlib.crc32(name.encode(), drawn_by_program()) % len(failures.TEAMS)]
+    kept = failures.of_team(case.kept(), team)
+    assert case.compared(kept, failures.make(name, [team])) == []
 
 
 def test_the_goldens_were_made_in_this_environment():
