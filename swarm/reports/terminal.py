@@ -241,6 +241,7 @@ class FlightScreen:
         self._printed: tuple[str, str | None] = ("", None)
         self._printed_at = -WAIT_INTERVAL
         self._texts = StatusTexts()
+        self._size = console.size
         self._live = (
             Live(
                 console=console,
@@ -271,8 +272,21 @@ class FlightScreen:
         """Show the team as it is now."""
         self._snapshot = snapshot
         self._print_texts(self._texts.due(snapshot.time))
+        self._follow_size()
         if not self._drawn:
             self._print_phase(snapshot)
+
+    def _follow_size(self) -> None:
+        """Draw anew from the top in a terminal that has become smaller.
+
+        Its lines are folded or have left it then: how far up the drawing began is not known.
+        """
+        before, self._size = self._size, self._console.size
+        smaller = self._size.width < before.width or self._size.height < before.height
+        if smaller and self._live is not None and self._drawn:
+            self._live.stop()
+            self._console.clear()
+            self._live.start()
 
     def event(self, event: Event) -> None:
         """Show an event."""
