@@ -85,7 +85,7 @@ class Network:
     shares. Shares of the packets to the conductor are ``late`` or ``copied``: they, or a second
     copy of them, arrive ``lateness`` seconds later. The conductor hears packets ``early`` seconds
     before it next acts, as it does on sockets, where they come between its ticks. ``speed`` is
-    virtual over real time.
+    virtual over real time. A team that is ready ``starts`` without a question.
     """
 
     flight_plan: FlightPlan
@@ -101,6 +101,7 @@ class Network:
     lateness: float = 0.0
     early: float = 0.0
     speed: float = 1.0
+    starts: bool = True
     uplink: Keep = every
     downlink: Keep = every
     events: list[Event] = field(default_factory=list)
@@ -143,7 +144,8 @@ class Network:
             if self.uplink(now, system, outgoing.data):
                 self._post(now, system, outgoing.data, up=True)
         self._deliver(now)
-        if self.conductor.stage == "ready" and self.conductor.audit is not None:
+        ready = self.conductor.stage == "ready" and self.conductor.audit is not None
+        if ready and self.starts:
             self.conductor.start(go(self.flight_plan, self.conductor.audit))
         self.events.extend(self.conductor.events())
 

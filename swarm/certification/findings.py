@@ -52,6 +52,22 @@ def in_common(findings: Iterable[Finding]) -> list[Finding]:
     ]
 
 
+def by_system(findings: Iterable[Finding]) -> dict[int, str]:
+    """Return what findings say of each system, in words; of many of one check the first."""
+    said: dict[int, dict[str, list[str]]] = {}
+    for finding in findings:
+        if named := _SYSTEM.match(finding.message):
+            checks = said.setdefault(int(named[1]), {})
+            checks.setdefault(finding.check, []).append(finding.message[named.end() :])
+    return {
+        system: "; ".join(
+            words[0] + (f" (and {len(words) - 1} more)" if words[1:] else "")
+            for words in checks.values()
+        )
+        for system, checks in said.items()
+    }
+
+
 def of_systems(systems: Sequence[int]) -> str:
     """Return the prefix of a message: ``systems 1–3, 7: ``; "" without systems."""
     if not systems:

@@ -30,7 +30,7 @@ from swarm.cli.flight_session import (
 from swarm.cli.inputs import FOLDER, JSON, print_json, refuse_option_conflicts
 from swarm.errors import InputError, Problem, Refused, VehicleError, reason
 from swarm.files import write_text
-from swarm.flight.snapshot import Event, Snapshot
+from swarm.flight.snapshot import Checked, Event, Snapshot
 from swarm.ground.flight_process import MODULE
 from swarm.ground.ladder import enter
 from swarm.ground.operator import read_screen_line, terminal_keys
@@ -189,7 +189,8 @@ def _connect(folder: Path) -> socket.socket:
     try:
         connection.connect(str(path))
     except PermissionError:
-        raise Refused(f"{folder}: only the account that began this flight may attach") from None
+        words = "only the account that began this flight may attach, and the group of --share"
+        raise Refused(f"{folder}: {words}") from None
     except OSError as error:
         connection.close()
         words = f"expected the record of a flight that runs: {reason(error)}"
@@ -197,7 +198,7 @@ def _connect(folder: Path) -> socket.socket:
     return connection
 
 
-def _watched(connection: socket.socket) -> Iterator[Snapshot | Event | str | None]:
+def _watched(connection: socket.socket) -> Iterator[Snapshot | Event | Checked | str | None]:
     """Yield what the flight shows until it ends; None whenever nothing arrives for a moment."""
     received = b""
     while True:

@@ -1,8 +1,11 @@
 """``swarm check``: check a fleet on the ground."""
 
+import select
 import sys
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +14,15 @@ from rich.console import Console
 
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding
-from swarm.cli.flight_session import MOCAP, RTCM, note_first_test, require_laboratory
+from swarm.cli.flight_session import (
+    CONSOLE,
+    CONSOLE_CERTIFICATE,
+    MOCAP,
+    RTCM,
+    note_first_test,
+    opened_console,
+    require_laboratory,
+)
 from swarm.cli.inputs import (
     FILE,
     FOLDER,
@@ -25,19 +36,21 @@ from swarm.cli.inputs import (
     progress_bar,
 )
 from swarm.cli.planning import load_source
+from swarm.console.launch import parse_address, require_usable
 from swarm.errors import InputError, Problem, Refused, VehicleError
 from swarm.files import read_text, write_text
 from swarm.flight.bench_flight import hop
 from swarm.flight.flight_plan import basis_of, require_tracking
 from swarm.flight.parameters import ParameterResult
 from swarm.front.files import load_fleet
-from swarm.ground.commissioning.check import CheckOptions
+from swarm.ground.commissioning.check import CheckOptions, CheckReport
 from swarm.ground.commissioning.check import check as check_fleet
+from swarm.ground.commissioning.screens import CheckScreens
 from swarm.ground.commissioning.survey import download_logs
 from swarm.ground.fly import FlightCallbacks
 from swarm.ground.hop import HopResult, fly_hop, hop_question
 from swarm.ground.ladder import carries_cable, missing_steps, passed_steps, words_of
-from swarm.ground.record import new_check_folder
+from swarm.ground.record import control_socket, new_check_folder
 from swarm.ground.world_clock import require_clock
 from swarm.mission.fleet import Fleet, emulated_fleet, with_tracking
 from swarm.mission.mission import LARGEST_TRACKING
@@ -55,6 +68,7 @@ from swarm.reports.layout_sheet import layout_sheet
 from swarm.reports.result import drawn
 from swarm.reports.terminal import FlightScreen
 
+_POLL = 0.1
 EMULATED_VEHICLES = 9
 """Vehicles of the built-in emulator without a fleet file and without a mission."""
 
@@ -80,6 +94,9 @@ class Options:
     rtcm: str | None
     mocap: str | None
     fence: bool
+    identify: bool
+    console: str | None
+    console_certificate: Path | None
     yes: bool
 
     def require_others(self) -> None:
@@ -99,9 +116,18 @@ class Options:
             problems.append(Problem("--rtcm", "expected --fleet: emulated receivers have RTK"))
         if self.mocap is not None and self.fleet_file is None:
             problems.append(Problem("--mocap", "expected --fleet"))
+        if self.identify and self.fleet_file is None:
+            problems.append(Problem("--identify", "expected --fleet"))
+        if self.console_certificate is not None and self.console is None:
+            problems.append(Problem("--console-certificate", "expected --console"))
+        if self.console is not None and self.with_hop:
+            words = "its page ends before a hop: check first, then fly the hop without it"
+            problems.append(Problem("--console", words))
         if problems:
             raise InputError(problems)
         require_clock(self.clock)
+        if self.console is not None:
+            require_usable(parse_address(self.console), self.console_certificate)
 
 
 @click.command()
@@ -171,7 +197,15 @@ class Options:
     help="The hop follows the time in this file, as `swarm fly --clock`.",
 )
 @MOCAP
+@click.option(
+    "--identify",
+    is_flag=True,
+    help="With motion capture: ask to lift, lean and turn one vehicle after the other, and find "
+    "bodies that are swapped, mirrored, turned, frozen, lost or flipping, as `swarm mocap`.",
+)
 @RTCM
+@CONSOLE
+@CONSOLE_CERTIFICATE
 @YES
 @click.pass_context
 def check(context: click.Context, /, **options: Any) -> None:
@@ -193,6 +227,7 @@ def check(context: click.Context, /, **options: Any) -> None:
     given.require_others()
     fleet = load_fleet(given.fleet_file) if given.fleet_file else None
     require_laboratory(given.mocap, fleet)
+    require_laboratory("poses" if given.identify else None, fleet, option="--identify")
     before = read_text(given.fleet_file, LARGEST_FILE) if given.fleet_file else None
     # a hop measures anew: an earlier measurement must not prevent it
     known = None if given.with_hop else fleet
@@ -205,19 +240,10 @@ def check(context: click.Context, /, **options: Any) -> None:
     console = Console(quiet=given.as_json)
     folder = given.record or new_check_folder(Path("checks"))
     console.print(f"{fleet.name}: {len(fleet.vehicles)} vehicles listed", highlight=False)
-    with progress_bar(Console(stderr=True), f"listening to {fleet.name}") as progress:
-        confirm_fix = _fix_question(console, progress, yes=given.yes) if given.fix else None
-        report = check_fleet(
-            fleet, folder, flight_plan,
-            CheckOptions(
-                given.soak, confirm_fix, given.restore, progress, given.rtcm, given.fence,
-                given.mocap, prepared=given.fleet_file is None,
-            ),
-        )  # fmt: skip
+    report = _checked(given, fleet, folder, flight_plan, known, console)
     hop_result, measured = None, None
     real = fleet.emulated is None and given.clock is None
     if flight_plan is not None:
-        report = report.with_findings(_plan_finding(flight_plan, known))
         if given.with_hop:
             ready = report.passed or fleet.emulated is not None
             hop_result = _fly_hop(flight_plan, fleet, folder / "hop", given, ready=ready)
@@ -242,6 +268,30 @@ def check(context: click.Context, /, **options: Any) -> None:
             words = f"Fleet with its measured tracking error, for swarm plan --fleet: {measured}"
             console.print(words, soft_wrap=True, highlight=False)
     context.exit(0 if report.passed else 1)
+
+
+def _checked(
+    given: Options,
+    fleet: Fleet,
+    folder: Path,
+    flight_plan: CertifiedPlan | None,
+    known: Fleet | None,
+    console: Console,
+) -> CheckReport:
+    """Check the fleet with terminal and console; the plan's figures are for the fleet ``known``."""
+    screens = CheckScreens(control_socket(folder) if given.console is not None else None)
+    with (
+        opened_console(folder, given.console, given.console_certificate, console),
+        progress_bar(Console(stderr=True), f"listening to {fleet.name}") as progress,
+    ):
+        fix = _fix_question(console, progress, screens, yes=given.yes) if given.fix else None
+        beforehand = () if flight_plan is None else (_plan_finding(flight_plan, known),)
+        options = CheckOptions(
+            given.soak, fix, given.restore, progress, given.rtcm, given.fence, given.mocap,
+            prepared=given.fleet_file is None, identify=given.identify,
+            say=partial(_say, progress), beforehand=beforehand, screens=screens,
+        )  # fmt: skip
+        return check_fleet(fleet, folder, flight_plan, options)
 
 
 def _plan_finding(flight_plan: CertifiedPlan, fleet: Fleet | None) -> Finding:
@@ -272,19 +322,41 @@ def _step_findings(flight_plan: CertifiedPlan, fleet: Fleet) -> list[Finding]:
     return [Finding("warning", "first tests", message)]
 
 
+def _say(progress: ProgressLine, words: str) -> None:
+    """Print a line beside the progress."""
+    with progress.hidden():
+        click.echo(words, err=True)
+
+
 def _fix_question(
-    console: Console, progress: ProgressLine, *, yes: bool
+    console: Console, progress: ProgressLine, screens: CheckScreens, *, yes: bool
 ) -> Callable[[Sequence[ParameterResult]], bool]:
     def confirmed(rows: Sequence[ParameterResult]) -> bool:
         with progress.hidden():
             console.print(drawn(parameter_table(rows)))
             if yes:
                 return True
-            if not sys.stdin.isatty():
-                return False
-            return click.confirm(f"Set these {len(rows)} parameters?", err=True)
+            question = f"Set these {len(rows)} parameters?"
+            if screens.control is not None:
+                return _answered(question, f"sets these {len(rows)} parameters", screens)
+            return sys.stdin.isatty() and click.confirm(question, err=True)
 
     return confirmed
+
+
+def _answered(question: str, effect: str, screens: CheckScreens) -> bool:
+    """Ask on the terminal and on the console; return the first answer."""
+    typed = sys.stdin.isatty()
+    choice = "[y/N, or on the console]" if typed else "The console is asked."
+    click.echo(f"{question} {choice} ", err=True, nl=not typed)
+    with screens.asking(effect) as answer:
+        while (given := answer()) is None:
+            if not typed:
+                time.sleep(_POLL)
+            elif select.select([sys.stdin], [], [], _POLL)[0]:
+                return sys.stdin.readline().strip().lower() in {"y", "yes"}
+    click.echo(f"{'yes' if given else 'no'}: answered by the console", err=True)
+    return given
 
 
 def _fly_hop(
@@ -331,7 +403,7 @@ def _fetch_logs(given: Options, folder: Path) -> int:
     """Fetch every vehicle's newest log, print the paths, and return the exit code."""
     checks = (
         given.mission, given.fix, given.restore, given.soak, given.with_hop, given.sheet,
-        given.clock, given.rtcm, given.mocap, given.fence,
+        given.clock, given.rtcm, given.mocap, given.fence, given.identify, given.console,
     )  # fmt: skip
     if any(checks) or given.record:
         raise click.UsageError("--logs can be combined with --fleet and --json only")

@@ -46,10 +46,10 @@ MOCAP = click.option(
 )
 
 
-def require_laboratory(mocap: str | None, fleet: Fleet | None) -> None:
+def require_laboratory(mocap: str | None, fleet: Fleet | None, *, option: str = "--mocap") -> None:
     """Raise :class:`InputError` for poses for a fleet that has no place for them."""
     if mocap and fleet is not None and fleet.frame != "shared":
-        raise InputError(f"--mocap: expected a fleet with frame: shared, got {fleet.frame}")
+        raise InputError(f"{option}: expected a fleet with frame: shared, got {fleet.frame}")
 
 
 VIEW = click.option(
@@ -185,7 +185,11 @@ def end_flight(
     verification = verify_trace(plan, result.trace)
     outcome = outcome_object(plan, result, verification, assessment)
     report = flight_report(plan, assessment, outcome, result.trace, result.events)
-    write_text(folder / REPORT, report)
+    unwritten = None
+    try:
+        write_text(folder / REPORT, report)
+    except InputError as full:
+        unwritten = full
     note_first_test(folder, real=real)
     if as_json:
         print_json(outcome)
@@ -193,6 +197,8 @@ def end_flight(
         console = Console()
         print_outcome(plan, result, outcome, console)
         console.print(f"Record: {folder}", soft_wrap=True, highlight=False)
+    if unwritten is not None:
+        click.echo(f"The report was not written: {unwritten}", err=True)
     error = result.error()
     if error is not None:
         raise error

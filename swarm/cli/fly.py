@@ -42,14 +42,16 @@ from swarm.console.launch import parse_address, require_usable
 from swarm.errors import InputError, Problem, Refused
 from swarm.flight.bench_flight import RAISED, raised
 from swarm.flight.flight_plan import Audit, ResumedFlight, confirmed_basis
+from swarm.flight.responding import COUNTDOWN
 from swarm.flight.result import FlightResult
 from swarm.flight.setup import LOOSE_ERROR
 from swarm.flight.tlog import Then, left_off
 from swarm.flight.training import require_emulated
 from swarm.front.files import load_fleet
-from swarm.ground.flight_process import FlightRequest, fly_in_process
+from swarm.ground.flight_process import AnsweredElsewhere, FlightRequest, fly_in_process
 from swarm.ground.fly import FlightCallbacks, FlyOptions, Unattended
 from swarm.ground.ladder import require_steps
+from swarm.ground.operator import parse_group
 from swarm.ground.record import control_socket, new_record_folder
 from swarm.ground.record_reader import (
     recorded_certificate,
@@ -124,7 +126,6 @@ def resume_flight(
     end_flight(context, plan, again.assessment, result, folder, real=False, as_json=as_json)
 
 
-COUNTDOWN = 3
 _FLIGHTS = Path("flights")
 _NEEDS = {
     "positioning": ("firmware",),
@@ -167,6 +168,7 @@ class Options:
     unattended: Unattended
     console: str | None
     console_certificate: Path | None
+    share: str | None
     scenario: Path | None
     skip_step: bool
 
@@ -264,6 +266,13 @@ class Options:
 @CONSOLE
 @CONSOLE_CERTIFICATE
 @click.option(
+    "--share",
+    metavar="GROUP",
+    type=Address(parse_group),
+    help="Members of this group of accounts of the machine may attach to the flight, and command "
+    "the team. Default: only the account that began it.",
+)
+@click.option(
     "--scenario",
     type=FILE,
     help="Training: inject the faults of this scenario file (YAML) into emulated vehicles; the "
@@ -307,6 +316,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
                 rtcm=given.rtcm,
                 world_clock=given.clock,
                 unattended=given.unattended,
+                share=parse_group(given.share) if given.share is not None else None,
             ),
             view=given.view,
             as_json=given.as_json,
@@ -353,6 +363,8 @@ def fly(context: click.Context, /, **options: Any) -> None:
             firmware=given.firmware, positioning=given.positioning or "rtk", mocap=given.mocap,
             rtcm=given.rtcm, world_clock=given.clock, unattended=given.unattended,
             training=training, skipped=skipped,
+            screens_answer=team.emulated is None and not given.yes,
+            share=parse_group(given.share) if given.share is not None else None,
         ),
         confirm=True,
     )  # fmt: skip
@@ -389,10 +401,14 @@ def _fly(flight: FlightRequest, given: Options, console: Console) -> FlightResul
         opened_console(flight.folder, given.console, given.console_certificate, console),
         ExitStack() as screen,
     ):
+        confirm = _confirmation(
+            shown, screen, console, unasked=unasked, warnings=warnings,
+            elsewhere=given.console is not None,
+        )  # fmt: skip
         return fly_in_process(
             flight,
             FlightCallbacks(
-                confirm=_confirmation(shown, screen, console, unasked=unasked, warnings=warnings),
+                confirm=confirm,
                 on_snapshot=shown.on_snapshot,
                 on_event=shown.on_event,
             ),
@@ -408,11 +424,13 @@ def _confirmation(
     *,
     unasked: bool,
     warnings: Sequence[Finding],
+    elsewhere: bool,
 ) -> Callable[[Audit], bool]:
     """Return the confirmation before arming: a question unless ``unasked``, and a countdown.
 
     Before the question the ``warnings`` of the plan and the findings of the audit are printed. The
-    screen starts after the question, or now.
+    screen starts after the question, or now. Where a console may answer ``elsewhere``, standard
+    input that is no terminal is not read.
     """
     if unasked:
         screen.enter_context(shown.screen)
@@ -420,8 +438,17 @@ def _confirmation(
     def confirm(audit: Audit) -> bool:
         if not unasked:
             console.print(drawn(findings_table([*warnings, *in_common(audit.findings)])))
-            if not click.confirm("Arm and fly?", err=True):
-                return False
+            try:
+                if elsewhere and not sys.stdin.isatty():
+                    click.echo("Arm and fly? The console is asked.", err=True)
+                    while True:
+                        time.sleep(1.0)
+                if not click.confirm("Arm and fly?", err=True):
+                    return False
+            except AnsweredElsewhere:
+                click.echo("\nanswered by the console", err=True)
+                screen.enter_context(shown.screen)
+                raise
             screen.enter_context(shown.screen)
         for left in range(COUNTDOWN, 0, -1):
             shown.screen.countdown(left)

@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.distances import Tightest
-from swarm.flight.snapshot import Event, Snapshot
-from swarm.flight.stages import Stage
+from swarm.certification.findings import in_common
+from swarm.flight.snapshot import Checked, Event, Snapshot
+from swarm.flight.stages import CheckStep, Stage
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
@@ -49,8 +50,15 @@ _FIXES: Final = {
 }  # fmt: skip
 """GPS_FIX_TYPE in words."""
 
-COMMANDS: Final = ("hold", "resume", "rewind", "land", "release", "rejoin", "abort", "interrupt")
+_ANSWERS: Final = ("go", "refuse")
+"""Commands that answer the question before a flight: they are shown on the ground only."""
+COMMANDS: Final = (
+    *_ANSWERS, "hold", "resume", "rewind", "land", "release", "rejoin", "abort", "interrupt",
+)  # fmt: skip
 """The buttons, in their order; kill is apart."""
+
+
+_CHECK: Final = frozenset(CheckStep)
 
 
 @dataclass(frozen=True)
@@ -91,7 +99,7 @@ def plan_facts(plan: Plan, fleet: Fleet | None) -> dict[str, Any]:
     heading = origin.heading if origin else 0.0 if emulated else None
     low, high = places.min(axis=(0, 1)), places.max(axis=(0, 1))
     return {
-        "kind": "plan",
+        **fleet_facts(fleet),
         "name": plan.mission.name,
         "words": ", ".join(plan.figures().values()),
         "vehicles": plan.vehicles,
@@ -99,7 +107,6 @@ def plan_facts(plan: Plan, fleet: Fleet | None) -> dict[str, Any]:
         "phases": [
             {"name": phase.name, "start": phase.start, "end": phase.end} for phase in plan.phases
         ],
-        "emulated": emulated,
         "pads": _places(plan.motion.at(0.0)[0]),
         "low": _places(low),
         "high": _places(high),
@@ -113,6 +120,20 @@ def plan_facts(plan: Plan, fleet: Fleet | None) -> dict[str, Any]:
         "radius": plan.mission.vehicles.radius,
         "grip": plan.mission.vehicles.grip_offset,
         "cable": 0.5 * plan.mission.cable.diameter,
+    }
+
+
+def fleet_facts(fleet: Fleet | None) -> dict[str, Any]:
+    """Return what does not change in a check of a fleet without a plan."""
+    return {
+        "kind": "plan",
+        "name": fleet.name if fleet else "",
+        "words": f"{len(fleet.vehicles)} vehicles" if fleet else "",
+        "vehicles": len(fleet.vehicles) if fleet else 0,
+        "duration": None,
+        "phases": [],
+        "emulated": fleet is not None and fleet.emulated is not None,
+        "paths": None,
         "commands": list(COMMANDS),
     }
 
@@ -129,11 +150,35 @@ def event_facts(event: Event) -> dict[str, Any] | None:
     return {"kind": "event", "time": event.time, "of": event.kind, "words": words, "level": level}
 
 
-def state_facts(plan: Plan, snapshot: Snapshot, rates: Rates) -> dict[str, Any]:
-    """Return the team at the moment of a snapshot; ``rates`` are those of the links."""
-    allowed = scene.allowed_error(plan, snapshot.mission_time)
-    aloft = snapshot.clearances is not None and snapshot.clearances.chord > 0.0
-    margins = [_pair(one) for one in closest_pairs(plan, snapshot.position, cable=aloft)]
+def checked_facts(checked: Checked) -> dict[str, Any]:
+    """Return what the check on the ground has found, as the terminal lists it: errors first."""
+    levels: dict[str, Level] = {"error": "bad", "warning": "warn", "info": "idle"}
+    order = list(levels)
+    rows = sorted(in_common(checked.findings), key=lambda row: order.index(row.severity))
+    return {
+        "kind": "checked",
+        "rows": [
+            {"level": levels[row.severity], "check": row.check, "words": row.message}
+            for row in rows
+        ],
+        "phases": [
+            {"name": name, "start": k, "end": k + 1} for k, name in enumerate(checked.steps)
+        ],
+    }
+
+
+def state_facts(plan: Plan | None, snapshot: Snapshot, rates: Rates) -> dict[str, Any]:
+    """Return the team at the moment of a snapshot; ``rates`` are those of the links.
+
+    In a check, which may have no plan, the vehicles are in the order of the fleet.
+    """
+    if plan is None or snapshot.phase in _CHECK:
+        allowed, margins, strands = 0.0, list[dict[str, Any]](), np.empty((0, POINTS, 3))
+    else:
+        allowed = scene.allowed_error(plan, snapshot.mission_time)
+        aloft = snapshot.clearances is not None and snapshot.clearances.chord > 0.0
+        margins = [_pair(one) for one in closest_pairs(plan, snapshot.position, cable=aloft)]
+        strands = _cable(plan, snapshot)
     return {
         "kind": "state",
         "time": snapshot.time,
@@ -146,10 +191,19 @@ def state_facts(plan: Plan, snapshot: Snapshot, rates: Rates) -> dict[str, Any]:
         "windows": [_window(name, left) for name, left in snapshot.windows.items()],
         "margins": [*margins, *_monitored(snapshot)],
         "rows": [_row(snapshot, rates, k, allowed) for k in range(len(snapshot.modes))],
-        "commands": {name: list(answer) for name, answer in snapshot.available.items()},
-        "strands": [_places(strand) for strand in _cable(plan, snapshot)],
+        "commands": {
+            name: list(answer)
+            for name, answer in snapshot.available.items()
+            if name not in _ANSWERS or _on_ground(snapshot)
+        },
+        "strands": [_places(strand) for strand in strands],
+        "ground": _on_ground(snapshot),
         "over": snapshot.phase == Stage.FINISHED,
     }
+
+
+def _on_ground(snapshot: Snapshot) -> bool:
+    return snapshot.phase in {Stage.PREPARE, Stage.READY, *_CHECK}
 
 
 def _wait(snapshot: Snapshot) -> dict[str, Any] | None:
@@ -159,8 +213,10 @@ def _wait(snapshot: Snapshot) -> dict[str, Any] | None:
         then = "then all land together"
         return {"words": f"hold: {snapshot.held}", "missing": [], "left": left, "then": then}
     if snapshot.waiting_for:
-        words = f"waiting for {snapshot.waiting_for}"
-        return {"words": words, "missing": list(snapshot.missing), "left": left, "then": "left"}
+        checking = snapshot.phase in _CHECK
+        words = snapshot.waiting_for if checking else f"waiting for {snapshot.waiting_for}"
+        missing = [] if checking else list(snapshot.missing)
+        return {"words": words, "missing": missing, "left": left, "then": "left"}
     return None
 
 
@@ -228,7 +284,7 @@ def _row(snapshot: Snapshot, rates: Rates, k: int, allowed: float) -> dict[str, 
     wrong, level = _wrong(snapshot, k, error, allowed)
     total = _at(snapshot.received, k) + _at(snapshot.lost, k)
     return {
-        "number": k + 1,
+        "number": snapshot.numbers[k] if snapshot.numbers else k + 1,
         "level": level,
         "state": snapshot.states[k],
         "why": "; ".join(wrong),
@@ -251,7 +307,7 @@ def _row(snapshot: Snapshot, rates: Rates, k: int, allowed: float) -> dict[str, 
 
 def _wrong(snapshot: Snapshot, k: int, error: float, allowed: float) -> tuple[list[str], Level]:
     """Return what is wrong with a vehicle, in words, and how much."""
-    on_ground = snapshot.phase in {Stage.PREPARE, Stage.READY}
+    on_ground = _on_ground(snapshot)
     age, battery = float(snapshot.link_age[k]), float(snapshot.battery[k])
     problem = snapshot.problems[k] if snapshot.problems else ""
     bad, warn = list[str](), list[str]()
@@ -273,6 +329,9 @@ def _wrong(snapshot: Snapshot, k: int, error: float, allowed: float) -> tuple[li
         bad.append(f"battery {battery:.0%}")
     elif battery < LOW_BATTERY:
         warn.append(f"battery {battery:.0%}")
+    if snapshot.phase == CheckStep.BODIES and not bad:
+        moved = bool(snapshot.numbers) and snapshot.numbers[k] in snapshot.missing
+        return [], "warn" if moved else "idle"
     if bad or warn:
         return [*bad, *warn], "bad" if bad else "warn"
     ready = snapshot.armed[k] or snapshot.states[k] == "ready"

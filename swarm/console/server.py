@@ -30,10 +30,17 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from swarm.console.certificate import tls_context
-from swarm.console.facts import Rates, event_facts, plan_facts, state_facts
+from swarm.console.facts import (
+    Rates,
+    checked_facts,
+    event_facts,
+    fleet_facts,
+    plan_facts,
+    state_facts,
+)
 from swarm.console.session import LARGEST_MESSAGE, Close, Output, Send, Session
 from swarm.errors import SwarmError
-from swarm.flight.snapshot import Event, Snapshot
+from swarm.flight.snapshot import Checked, Event, Snapshot
 from swarm.ground.operator import read_screen_line
 from swarm.ground.record_reader import recorded_fleet, recorded_plan
 from swarm.planning import Plan
@@ -135,6 +142,7 @@ class ConsoleServer:
         self._plan: Plan | None = None
         self._plan_text: str | None = None
         self._events: deque[str] = deque(maxlen=_MOST_EVENTS)
+        self._checked: str | None = None
         self._snapshot: bytes | None = None
         self._state: str | None = None
         self._rates: Rates | None = None
@@ -222,7 +230,7 @@ class ConsoleServer:
             return
         browser.send(json.dumps(message))
         if message["kind"] == "joined":
-            for text in (self._plan_text, *self._events, self._ended):
+            for text in (self._plan_text, self._checked, *self._events, self._ended):
                 if text is not None:
                     browser.send(text)
             if self._state is not None:
@@ -239,11 +247,14 @@ class ConsoleServer:
         reader, self._flight = await self._connect()
         self._session.closed = ""
         self._flight.write(f"screens {self._session.screens}\n".encode())
-        plan = await asyncio.to_thread(recorded_plan, self._folder)
         fleet = None
         with suppress(SwarmError):
-            fleet = recorded_fleet(self._folder)
-        self._plan, self._plan_text = plan, json.dumps(plan_facts(plan, fleet))
+            fleet = recorded_fleet(self._folder, flown=False)
+        facts = fleet_facts(fleet)
+        if (self._folder / "plan.json").exists():  # not in a check without a mission
+            self._plan = await asyncio.to_thread(recorded_plan, self._folder)
+            facts = plan_facts(self._plan, fleet)
+        self._plan_text = json.dumps(facts)
         self._show_all(self._plan_text)
         async with asyncio.TaskGroup() as tasks:
             showing = tasks.create_task(self._show_states())
@@ -253,7 +264,8 @@ class ConsoleServer:
             self._session.closed = "the flight has ended"
             showing.cancel()
         await self._show_state()
-        self._ended = json.dumps({"kind": "ended", "words": await self._outcome()})
+        words, level = await self._outcome()
+        self._ended = json.dumps({"kind": "ended", "words": words, "level": level})
         self._show_all(self._ended)
         await asyncio.sleep(_LINGER)
 
@@ -275,6 +287,9 @@ class ConsoleServer:
             if facts is not None:
                 self._events.append(json.dumps(facts))
                 self._show_all(self._events[-1])
+        elif isinstance(item, Checked):
+            self._checked = json.dumps(checked_facts(item))
+            self._show_all(self._checked)
         elif isinstance(item, str):
             self._carry_out(self._session.answer(item))
 
@@ -286,7 +301,7 @@ class ConsoleServer:
     async def _show_state(self) -> None:
         """Show the newest snapshot, if there is one that was not shown."""
         line, self._snapshot = self._snapshot, None
-        if line is None or self._plan is None:
+        if line is None or self._plan_text is None:
             return
         snapshot = read_screen_line(line)
         if not isinstance(snapshot, Snapshot):
@@ -303,16 +318,17 @@ class ConsoleServer:
             await asyncio.sleep(TICK)
             self._carry_out(self._session.tick(time.monotonic()))
 
-    async def _outcome(self) -> str:
-        """Return how the flight ended, by its record."""
+    async def _outcome(self) -> tuple[str, str]:
+        """Return how the flight ended, by its record, and the level of that."""
         latest = time.monotonic() + _SUMMARY_TIME
         while time.monotonic() < latest:
             with suppress(OSError, ValueError, KeyError, TypeError):
                 ended = json.loads((self._folder / "summary.json").read_text())
                 word, explanation = ended["outcome"], ended["explanation"]
-                return f"{word}: {explanation}" if explanation else str(word)
+                level = "good" if ended.get("exit_code", 1) == 0 else "bad"
+                return f"{word}: {explanation}" if explanation else str(word), level
             await asyncio.sleep(_RETRY)
-        return "the flight ended without a summary"
+        return "the flight ended without a summary", "bad"
 
 
 def _known_host(connection: HTTPConnection) -> bool:

@@ -296,6 +296,8 @@ class Session:
                 return self._give(None, now, "")
             case "command":
                 command = _text(message, "command")
+                if command == "go":
+                    return self._request(person, f"go {_seen(message)}")
                 if command not in REQUESTS or command == "kill":
                     raise _MessageError("expected a command")
                 return self._request(person, command)
@@ -435,6 +437,14 @@ def _text(message: Mapping[str, Any], key: str) -> str:
     if not isinstance(value, str):
         raise _MessageError(f"{key}: expected a text")
     return value
+
+
+def _seen(message: Mapping[str, Any]) -> float:
+    """Return the time of the state that the page of a go has drawn."""
+    seen = message.get("seen")
+    if isinstance(seen, bool) or not isinstance(seen, int | float):
+        raise _MessageError("seen: expected a time")
+    return seen
 
 
 def _name(message: Mapping[str, Any]) -> str:

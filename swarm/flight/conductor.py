@@ -160,6 +160,11 @@ class Conductor:
         return self.state.placement.audit
 
     @property
+    def go_given(self) -> float | None:
+        """When a screen gave the go; None before."""
+        return self.state.go_given
+
+    @property
     def holding(self) -> str | None:
         """Why the clock is held; None while it is not."""
         return self.state.holds.message
@@ -266,6 +271,10 @@ class Conductor:
             flight.stream_loss = cleared.audit.stream_loss
         flight.change_stage(Trigger.CLEARED)
         flight.report("flight", f"cleared for flight: {self.basis.words}")
+
+    def ask_for_go(self) -> None:
+        """Let screens give the go before arming, or refuse it."""
+        self.state.go_asked = True
 
     def refuse(self, message: str) -> None:
         """End the flight before it begins: the audit did not pass."""

@@ -1,7 +1,7 @@
 """A fleet received on the ground, without flying: vehicles, places, origins, clocks, links."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,12 +14,14 @@ from swarm.flight.preparation import (
     Prepared,
     leave_offboard,
     prepared_team,
+    problems_of,
     readiness,
     request_origin,
     request_streams,
 )
 from swarm.flight.router import Address, Outgoing, Team
-from swarm.flight.snapshot import Event
+from swarm.flight.snapshot import Event, Snapshot
+from swarm.flight.stages import CheckStep
 from swarm.mavlink.frames import to_mission
 from swarm.mavlink.signing import SIGNATURE_LENGTH
 from swarm.mavlink.vehicle import Vehicle, VehicleEvent
@@ -118,6 +120,7 @@ class FleetListener:
     _measurement: _Measurement | None = None
     _tried: dict[int, str | None] = field(default_factory=dict)
     _modes: dict[int, int] = field(default_factory=dict)
+    _prepared: Prepared | None = None
 
     def __post_init__(self) -> None:
         self.team = Team(self.fleet, self._report)
@@ -172,9 +175,72 @@ class FleetListener:
             return Finding("error", "position", words)
         try:
             measured = np.array([v.position for v in heard])
-            return prepared_team(heard, self.fleet, standing, measured)
+            self._prepared = prepared_team(heard, self.fleet, standing, measured)
+            return self._prepared
         except Refused as error:
             return Finding("error", "placement", str(error))
+
+    def snapshot(
+        self,
+        step: CheckStep,
+        done: float,
+        doing: str,
+        states: Mapping[int, str],
+        moving: int | None,
+        wrong: Mapping[int, str],
+        available: Mapping[str, tuple[bool, str]],
+    ) -> Snapshot:
+        """Return all vehicles of the fleet in its order, on the ground, in a step of a check.
+
+        ``done`` are steps that are done, in words it is ``doing`` the present one. ``states`` and
+        what is ``wrong`` are by system id; the one that is ``moving`` is to be moved by hand.
+        """
+        vehicles, now = list(self.team.vehicles.values()), self.now
+        unknown = np.full((len(vehicles), 3), np.nan)
+        problems = [
+            [text for check, text in problems_of(v, self.fleet, now) if check != "mode"]
+            + [wrong[system] for system in (v.system,) if system in wrong]
+            for v in vehicles
+        ]
+        return Snapshot(
+            time=now,
+            mission_time=done,
+            rate=0.0,
+            phase=step,
+            waiting_for=doing or None,
+            position=self._places(vehicles, unknown),
+            velocity=unknown,
+            setpoint=unknown,
+            modes=tuple(vehicle.mode for vehicle in vehicles),
+            states=tuple(
+                states.get(v.system, "not ready" if reasons else "ready")
+                for v, reasons in zip(vehicles, problems, strict=True)
+            ),
+            armed=tuple(vehicle.armed for vehicle in vehicles),
+            gripped=tuple(vehicle.gripped for vehicle in vehicles),
+            battery=np.array([vehicle.battery for vehicle in vehicles]),
+            link_age=np.array([max(now - vehicle.received_at, 0.0) for vehicle in vehicles]),
+            available=available,
+            round_trip=np.array([vehicle.latest_round_trip for vehicle in vehicles]),
+            received=np.array([float(vehicle.packets) for vehicle in vehicles]),
+            lost=np.array([float(vehicle.lost_packets) for vehicle in vehicles]),
+            problems=tuple("; ".join(reasons) for reasons in problems),
+            missing=(moving,) if moving is not None else (),
+            voltage=np.array([vehicle.voltage for vehicle in vehicles]),
+            fix=np.array([float(vehicle.fix_type) for vehicle in vehicles]),
+            satellites=np.array([float(vehicle.satellites) for vehicle in vehicles]),
+            position_age=np.array([max(now - v.position_at, 0.0) for v in vehicles]),
+            numbers=tuple(vehicle.system for vehicle in vehicles),
+        )
+
+    def _places(self, vehicles: Sequence[Vehicle], unknown: Floats) -> Floats:
+        """Return where vehicles stand (n, 3), mission ENU; NaN where that is not known yet."""
+        prepared, places = self._prepared, unknown.copy()
+        if prepared is not None:
+            measured = np.array([vehicle.position for vehicle in prepared.flyers])
+            rows = [vehicles.index(vehicle) for vehicle in prepared.flyers]
+            places[rows] = prepared.frames.points_to_mission(measured)
+        return places
 
     def frames_and_clocks(self, tracking: float = math.inf) -> list[Finding]:
         """Return findings on each vehicle's position, origin and clock.

@@ -6,8 +6,9 @@ from typing import Literal, get_args
 from swarm.flight.snapshot import Event
 
 Request = Literal[
-    "hold", "resume", "rewind", "land", "release", "rejoin", "abort", "kill", "interrupt"
-]
+    "hold", "resume", "rewind", "land", "release", "rejoin", "abort", "kill", "interrupt", "go",
+    "refuse",
+]  # fmt: skip
 REQUESTS: tuple[Request, ...] = get_args(Request)
 ABSENCE = "the absence of screens"
 """The author of requests that are made because no screen is attached."""

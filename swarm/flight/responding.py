@@ -105,13 +105,40 @@ def available(flight: FlightState) -> Mapping[Request, Availability]:
     if flight.stage in {Stage.PREPARE, Stage.READY}:
         closed = Availability(False, "no vehicle flies yet")
         end = Availability(True, "ends here: no vehicle is armed")
-        return {**dict.fromkeys(REQUESTS, closed), "interrupt": end, "abort": closed}
+        answers: tuple[Request, ...] = ("go", "refuse")
+        effects = {command: _COMMANDS[command].effect(flight) for command in answers}
+        return {**dict.fromkeys(REQUESTS, closed), "interrupt": end, **effects}
     if flight.contingency is not None:
         closed = Availability(False, "the team has already left the plan")
         still: tuple[Request, ...] = ("kill", "interrupt")
         effects = {command: _COMMANDS[command].effect(flight) for command in still}
         return {**dict.fromkeys(REQUESTS, closed), **effects}
     return {command: row.effect(flight) for command, row in _COMMANDS.items()}
+
+
+COUNTDOWN = 3
+"""Seconds from the go of a screen until vehicles are armed."""
+
+
+def _go(flight: FlightState) -> Availability:
+    if flight.stage is not Stage.READY:
+        return _refuse(flight)
+    if flight.go_given is not None:
+        return Availability(False, "the go is given")
+    team = f"arms {flight.setup.plan.vehicles} vehicles and flies"
+    words = f"{team}, after {COUNTDOWN} s in which it can be refused"
+    return Availability(flight.go_asked, words if flight.go_asked else "nothing is asked now")
+
+
+def _refuse(flight: FlightState) -> Availability:
+    if flight.stage not in {Stage.PREPARE, Stage.READY}:
+        return Availability(False, "the flight has begun")
+    words = "ends here: no vehicle is armed" if flight.go_asked else "nothing is asked now"
+    return Availability(flight.go_asked, words)
+
+
+def _do_go(flight: FlightState) -> None:
+    flight.go_given = flight.now
 
 
 def _hold(flight: FlightState) -> Availability:
@@ -242,6 +269,8 @@ class _Command(NamedTuple):
 
 
 _COMMANDS: Mapping[Request, _Command] = {
+    "go": _Command(_go, _do_go),
+    "refuse": _Command(_refuse, lambda flight: flight.finish("refused", "refused by the operator")),
     "hold": _Command(_hold, _do_hold),
     "resume": _Command(_resume, _do_resume),
     "rewind": _Command(_rewind, _do_rewind),

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from swarm.certification.findings import Finding
 from swarm.certification.monitor import Clearances
 from swarm.flight.trace import Trace
 
@@ -37,6 +38,7 @@ class Snapshot:
     receivers report (-1: nothing), ``position_age`` (n,) seconds since a vehicle's last position;
     empty where they are not reported. ``landing`` is the expected time until all have landed as
     planned, in seconds, with waits at gates and a slower clock; None where it is not known.
+    ``numbers`` are those by which displays name the vehicles; empty: 1, 2, …, along the cable.
     ``windows`` says in how many seconds of mission time all can "land" together, or "release" the
     cable: 0 now, None not any more. ``slowed_by`` names what the clock is slower for; "": nothing.
     """
@@ -74,6 +76,7 @@ class Snapshot:
     landing: float | None = None
     windows: Mapping[str, float | None] = field(default_factory=dict)
     slowed_by: str = ""
+    numbers: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,17 @@ class Event:
     kind: str
     message: str
     vehicle: int | None = None
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What the check of a team on the ground has found so far.
+
+    ``steps`` are the names of its parts, in their order, where it is no part of a flight.
+    """
+
+    findings: tuple[Finding, ...]
+    steps: tuple[str, ...] = ()
 
 
 class Recorder:

@@ -24,6 +24,21 @@ class Stage(StrEnum):
     FINISHED = "finished"
 
 
+class CheckStep(StrEnum):
+    """The steps of a check on the ground, which is no flight: nothing is armed.
+
+    BODIES: a person moves one vehicle after the other. LINKS: the links are measured.
+    """
+
+    VEHICLES = "vehicles"
+    BODIES = "bodies"
+    PARAMETERS = "parameters"
+    PLACES = "places"
+    HOLD = "Hold mode"
+    LINKS = "links"
+    RESULT = "result"
+
+
 class Trigger(StrEnum):
     """The events that change the stage of a flight."""
 

@@ -64,6 +64,9 @@ def fly_in_process(
     passed on: the first lands the team after a hold, the second at once. SIGHUP ends this process,
     as a callback that raises ends this function; the flight goes on.
 
+    Where another screen answers the question before the flight, ``confirm`` is ended by
+    :class:`AnsweredElsewhere`, in the main thread.
+
     Raises the errors of :func:`swarm.ground.fly.fly`, and :class:`VehicleError` if the process ends
     before the flight does.
     """
@@ -85,10 +88,12 @@ def fly_in_process(
             with suppress(OSError):
                 pipe.send(request)
             _forward_signals(context, pipe, confirming)
+            end_question = _ends_question(context, confirming)
             keys = _Keys(context, pipe, enabled=read_keys)
             if not request.confirm:
                 keys.start()
-            kind, content = _serve(pipe, callbacks or FlightCallbacks(), keys, confirming)
+            callbacks = callbacks or FlightCallbacks()
+            kind, content = _serve(pipe, callbacks, keys, confirming, end_question)
         except _FlightEndedError:
             reason = exit_reason(process.wait(5.0))
             raise VehicleError(f"the flight's process ended ({reason})") from None
@@ -110,9 +115,10 @@ def _serve(
     callbacks: FlightCallbacks,
     keys: "_Keys",
     confirming: threading.Event,
+    end_question: Callable[[], None] = lambda: None,
 ) -> tuple[str, Any]:
     """Handle the messages of the flight process until it sends a result or an error."""
-    inbox = _Inbox(pipe)
+    inbox = _Inbox(pipe, end_question)
     while True:
         while (message := inbox.receive(_POLL)) is None:
             keys.poll()
@@ -127,7 +133,8 @@ def _serve(
             case "event" if callbacks.on_event is not None:
                 callbacks.on_event(content)
             case "confirm":
-                _send(pipe, "answer", _confirm(callbacks.confirm, content, confirming))
+                answer = _confirm(callbacks.confirm, content, confirming, inbox.answered)
+                _send(pipe, "answer", answer)
                 keys.start()  # the question is answered on the same terminal
         keys.poll()
 
@@ -138,16 +145,26 @@ def _send(pipe: Connection, kind: str, content: Any) -> None:
         pipe.send((kind, content))
 
 
+class AnsweredElsewhere(Exception):  # noqa: N818 - no error
+    """Another screen has answered the question before the flight."""
+
+
 def _confirm(
-    confirm: Callable[[Audit], bool] | None, audit: Audit, confirming: threading.Event
-) -> bool:
+    confirm: Callable[[Audit], bool | None] | None,
+    audit: Audit,
+    confirming: threading.Event,
+    answered: threading.Event,
+) -> bool | None:
     if confirm is None:
         return True
     confirming.set()
     try:
-        return confirm(audit)
+        # before it is set, the signal that ends a question does nothing
+        return None if answered.is_set() else confirm(audit)
     except KeyboardInterrupt:
         return False
+    except AnsweredElsewhere:
+        return None
     finally:
         confirming.clear()
 
@@ -165,11 +182,13 @@ class _FlightEndedError(Exception):
 class _Inbox:
     """Reads messages in a thread as they arrive, so that the flight never waits for its caller.
 
-    Of the snapshots only the newest is kept; all other messages are kept in order.
+    Of the snapshots only the newest is kept; all other messages are kept in order. ``answered`` is
+    set, and ``end_question`` called, when another screen has answered the question.
     """
 
-    def __init__(self, pipe: Connection) -> None:
-        self._pipe = pipe
+    def __init__(self, pipe: Connection, end_question: Callable[[], None]) -> None:
+        self._pipe, self._end_question = pipe, end_question
+        self.answered = threading.Event()
         self._waiting: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         self._newest: list[Any] = []
         self._lock = threading.Lock()
@@ -179,6 +198,10 @@ class _Inbox:
         with suppress(EOFError, OSError):
             while True:
                 kind, content = self._pipe.recv()
+                if kind == "answered":
+                    self.answered.set()
+                    self._end_question()
+                    continue
                 if kind != "snapshot":
                     self._waiting.put((kind, content))
                     continue
@@ -234,13 +257,33 @@ def _forward_signals(context: ExitStack, pipe: Connection, confirming: threading
         context.enter_context(signal_handlers((signal.SIGHUP,), leave))
 
 
+def _ends_question(context: ExitStack, confirming: threading.Event) -> Callable[[], None]:
+    """Return a function by which another thread ends a question in this, the main one.
+
+    A signal, as that of Ctrl-C: the question waits for a line of the terminal.
+    """
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        if confirming.is_set():
+            raise AnsweredElsewhere
+
+    context.enter_context(signal_handlers((signal.SIGUSR1,), end))
+
+    def send() -> None:
+        main = threading.main_thread().ident
+        if signal.getsignal(signal.SIGUSR1) is end and main is not None:
+            signal.pthread_kill(main, signal.SIGUSR1)
+
+    return send
+
+
 class _FlightServer:
     """The side of the flight process: flies, and sends messages without blocking the loop."""
 
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe
         self._lock = threading.Lock()
-        self._answers: queue.SimpleQueue[bool] = queue.SimpleQueue()
+        self._answers: queue.SimpleQueue[bool | None] = queue.SimpleQueue()
         self._caller = Caller()
 
     def run(self) -> None:
@@ -253,6 +296,7 @@ class _FlightServer:
             confirm=self._confirm if request.confirm else None,
             on_snapshot=lambda snapshot: self._send("snapshot", snapshot),
             on_event=lambda event: self._send("event", event),
+            on_answered=lambda: self._send("answered", None),
         )
         try:
             result = fly(
@@ -274,7 +318,7 @@ class _FlightServer:
         with self._lock:
             _send(self._pipe, kind, content)
 
-    def _confirm(self, audit: Audit) -> bool:
+    def _confirm(self, audit: Audit) -> bool | None:
         self._send("confirm", audit)
         return self._answers.get()
 
@@ -290,7 +334,7 @@ class _FlightServer:
                 elif kind == "signal":
                     self._caller.interrupts.append(content)
         self._caller.gone.set()
-        self._answers.put(False)
+        self._answers.put(None)
 
 
 def main() -> None:

@@ -5,6 +5,7 @@ beside the flight loop. So do the callbacks, which cannot delay it. After every 
 events, snapshots and the go.
 """
 
+import math
 import queue
 import signal
 import threading
@@ -32,9 +33,10 @@ from swarm.flight.parameters import (
     stream_loss_model,
 )
 from swarm.flight.requests import ABSENCE, Request
+from swarm.flight.responding import COUNTDOWN
 from swarm.flight.result import FlightResult, adherence, skipped_words
 from swarm.flight.setup import FlightOptions
-from swarm.flight.snapshot import Event, Snapshot
+from swarm.flight.snapshot import Checked, Event, Snapshot
 from swarm.flight.tlog import ClockEncoder, LeftOff, Then
 from swarm.flight.trace import Trace
 from swarm.flight.training import Training, require_emulated
@@ -53,7 +55,7 @@ from swarm.ground.operator import (
     signal_handlers,
 )
 from swarm.ground.priority import run_behind_main_thread
-from swarm.ground.record import Record
+from swarm.ground.record import Record, share_folder
 from swarm.ground.record_reader import recorded_flight
 from swarm.ground.relay import Relay, open_forward
 from swarm.ground.signing_key import signing_with
@@ -70,7 +72,8 @@ class FlightCallbacks:
     """Functions that a flight calls, each in a thread of its own or of the caller.
 
     - ``confirm``: called once the team has been audited on the ground; False refuses the flight.
-      Without it an audit without errors is enough.
+      Without it an audit without errors is enough. None: it cannot be asked any more.
+    - ``on_answered``: called when ``confirm`` need not be answered any more.
     - ``on_snapshot``: called about ten times a second.
     - ``on_event``: called for every event.
     - ``on_emulator``: called with the process id of the emulator.
@@ -78,7 +81,8 @@ class FlightCallbacks:
     Snapshots and events that the callbacks are too slow for are dropped.
     """
 
-    confirm: Callable[[Audit], bool] | None = None
+    confirm: Callable[[Audit], bool | None] | None = None
+    on_answered: Callable[[], None] | None = None
     on_snapshot: Callable[[Snapshot], None] | None = None
     on_event: Callable[[Event], None] | None = None
     on_emulator: Callable[[int], None] | None = None
@@ -121,14 +125,19 @@ class Preflight:
 
     Without a ``relay`` the vehicles are not audited; without ``confirm`` an audit without errors
     is enough. Parameters are saved in ``folder``. ``poses`` are what vehicles get from motion
-    capture, where that is known.
+    capture, where that is known. Where ``screens_answer``, screens of the flight may answer in the
+    place of ``confirm``. ``audited`` has all findings before the question; ``abandoned``: only
+    screens can answer it any more.
     """
 
     conductor: Conductor
     folder: Path
-    confirm: Callable[[Audit], bool] | None = None
+    confirm: Callable[[Audit], bool | None] | None = None
     relay: Relay | None = None
+    screens_answer: bool = False
     started: bool = False
+    audited: Audit | None = None
+    abandoned: bool = False
     poses: MocapBridge | Borrowed | None = None
     _decision: "queue.SimpleQueue[Audit | str]" = field(default_factory=queue.SimpleQueue)
 
@@ -150,7 +159,11 @@ class Preflight:
         try:
             if self.relay is not None:
                 audit = self._audit_vehicles(audit, self.relay)
+            self.audited = audit
             confirmed = not audit.passed or self.confirm is None or self.confirm(audit)
+            if confirmed is None and self.screens_answer:
+                self.abandoned = True
+                return
             self._decision.put(audit if confirmed else "not confirmed")
         except SwarmError as error:
             self._decision.put(str(error))
@@ -230,7 +243,8 @@ class TickTasks:
 
     The caller's keys go to ``console``; ``control`` is polled for requests too. When the last
     screen of the flight is gone, the team holds, lands or flies on, as ``unattended`` says.
-    ``events`` are all events so far. What ``feeds`` miss is reported.
+    ``events`` are all events so far. What ``feeds`` miss is reported. ``on_answered`` is called
+    when the question before the flight needs no answer any more.
     """
 
     conductor: Conductor
@@ -244,6 +258,10 @@ class TickTasks:
     feeds: Sequence[Feed] = ()
     control: ControlSocket | None = None
     unattended: Unattended = "hold"
+    on_answered: Callable[[], None] | None = None
+    _asking: bool = False
+    _checked: bool = False
+    _counted: int = COUNTDOWN + 1
     _alone: bool = False
     _due: bool = False
     _next_snapshot: float = 0.0
@@ -266,6 +284,10 @@ class TickTasks:
         self._respond_to_absence()
         if conductor.stage == "ready" and conductor.audit is not None:
             self._decide(conductor.audit)
+        if self._asking and (conductor.stage != "ready" or conductor.go_given is not None):
+            self._asking = False
+            if self.on_answered is not None:
+                self.on_answered()
         for event in conductor.events():
             self.events.append(event)
             self.record.event(event)
@@ -325,7 +347,14 @@ class TickTasks:
         preflight, conductor = self.preflight, self.conductor
         if not preflight.started:
             preflight.start(audit)
+        if preflight.audited is not None and not self._checked:
+            self._checked = True
+            self._ask(preflight.audited)
         decision = preflight.decision()
+        if conductor.go_given is not None:
+            decision = self._count_down(conductor.go_given)
+        elif preflight.abandoned and self._alone:
+            decision = "not confirmed"
         if decision is None:
             return
         if preflight.relay is not None:
@@ -337,6 +366,30 @@ class TickTasks:
             conductor.start(go(conductor.flight_plan, decision))
         except Refused as error:
             conductor.refuse(str(error))
+
+    def _ask(self, audit: Audit) -> None:
+        """Show the findings before the flight on all screens, and let them answer."""
+        warnings = (
+            finding
+            for finding in self.conductor.flight_plan.assessment.findings
+            if finding.severity == "warning"
+        )
+        if self.control is not None:
+            self.control.publish(Checked((*warnings, *audit.findings)))
+        preflight = self.preflight
+        if preflight.screens_answer and preflight.confirm is not None and audit.passed:
+            self._asking = True
+            self.conductor.ask_for_go()
+
+    def _count_down(self, since: float) -> Audit | None:
+        """Count down after the go of a screen; return the audit to fly with at the end."""
+        left = math.ceil(COUNTDOWN - (self.conductor.now - since))
+        if left <= 0:
+            return self.preflight.audited
+        if left < self._counted:
+            self._counted = left
+            self.conductor.report("countdown", f"take-off in {left} s")
+        return None
 
 
 @dataclass(frozen=True)
@@ -365,6 +418,10 @@ class FlyOptions:
     - ``unattended``: what the team does when the last screen of the flight is gone.
     - ``training``: the faults that the emulator injects.
     - ``skipped``: the first tests that the fleet has not passed, in words.
+    - ``share``: number of the group of accounts that may read the record and attach to the flight,
+      with its commands.
+    - ``screens_answer``: a screen of the flight, as a console, may give the go before arming, or
+      refuse it, in the place of the caller's confirmation.
     """
 
     speed: float = 1.0
@@ -383,6 +440,8 @@ class FlyOptions:
     unattended: Unattended = "hold"
     training: Training | None = None
     skipped: tuple[str, ...] = ()
+    screens_answer: bool = False
+    share: int | None = None
 
 
 def fly(
@@ -411,6 +470,7 @@ def fly(
     with ExitStack() as resources:
         links, borrowed = resources.enter_context(links_of(fleet, options.mocap))
         conductor.team.signing = resources.enter_context(signing_with(fleet.signing_key))
+        share_folder(folder, options.share)
         record = Record(folder, time.time())
         resources.callback(record.close)
         bridge, feeds = _open_feeds(conductor, options, resources, borrowed)
@@ -434,12 +494,15 @@ def fly(
         def console(author: str = TERMINAL) -> OperatorConsole:
             return OperatorConsole(conductor, conductor.available, author)
 
-        preflight = Preflight(conductor, folder, callbacks.confirm, poses=borrowed or bridge)
+        preflight = Preflight(
+            conductor, folder, callbacks.confirm, poses=borrowed or bridge,
+            screens_answer=options.screens_answer,
+        )  # fmt: skip
         with ExitStack() as running:
             running.enter_context(sealed())
             control = None
             if options.control is not None:
-                control = ControlSocket(options.control, partial(console, CLIENT))
+                control = ControlSocket(options.control, partial(console, CLIENT), options.share)
                 running.callback(control.close)
             publish = running.enter_context(publisher(callbacks))
             running.enter_context(signal_handlers(_INTERRUPTS, caller.interrupt))
@@ -450,7 +513,7 @@ def fly(
                 running.callback(preflight.relay.close)
             tasks = TickTasks(
                 conductor, record, preflight, publish, caller, console(), emulator, feeds=feeds,
-                control=control, unattended=options.unattended,
+                control=control, unattended=options.unattended, on_answered=callbacks.on_answered,
             )  # fmt: skip
             forward = open_forward(options.forward, conductor.team) if options.forward else None
             if forward is not None:

@@ -1,10 +1,13 @@
 """The operator's input during a flight: single keys, and a line-based control socket.
 
-The control socket is a Unix socket that only its owner may open. Each line is one request; the
+The control socket is a Unix socket that only its owner may open, and a group of accounts where the
+owner shares it. Each line is one request; the
 answer is one line: the effect, or the reason why the request is not possible. ``status`` lists the
 effect of every request at this moment. ``kill`` must be repeated as ``kill NUMBER``, with the
 number in the answer to ``kill``; after the key for it, the number must be typed. ``kill cancel``
-makes that number invalid. ``key X`` is a typed key. ``snapshot`` returns the team's state as JSON.
+makes that number invalid. ``go TIME`` gives the go before arming: TIME is that of the state that
+was seen, so that no page that stands still, or is slow, arms vehicles. ``key X`` is a typed key.
+``snapshot`` returns the team's state as JSON.
 After ``watch`` the client is a screen of the flight: it gets the events so far, then every snapshot
 and event, each as a line of JSON.
 
@@ -14,12 +17,15 @@ what a screen gets, and counts as one if N is not 0: for the console, a process 
 flight on to any number of browsers, or none.
 """
 
+import grp
 import json
 import os
+import pwd
 import secrets
 import select
 import signal
 import socket
+import struct
 import sys
 import termios
 import threading
@@ -30,33 +36,37 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import FrameType
-from typing import Any, Protocol, get_origin, get_type_hints
+from typing import Any, Final, Protocol, get_origin, get_type_hints
 
 import numpy as np
 
+from swarm.certification.findings import Finding
 from swarm.certification.monitor import Clearances
 from swarm.errors import VehicleError, printable
 from swarm.flight.requests import REQUESTS, Request
-from swarm.flight.snapshot import Event, Snapshot
+from swarm.flight.snapshot import Checked, Event, Snapshot
 
 _TUPLES = {name for name, hint in get_type_hints(Snapshot).items() if get_origin(hint) is tuple}
 
 
-def screen_line(item: Snapshot | Event) -> bytes:
-    """Return a snapshot or an event as a line of JSON; numbers may be NaN."""
-    kind = "event" if isinstance(item, Event) else "snapshot"
+def screen_line(item: Snapshot | Event | Checked) -> bytes:
+    """Return a snapshot, an event or findings as a line of JSON; numbers may be NaN."""
+    kind = type(item).__name__.lower()
     return json.dumps({kind: asdict(item)}, default=np.ndarray.tolist).encode() + b"\n"
 
 
-def read_screen_line(line: bytes) -> Snapshot | Event | str:
-    """Return what a line holds: a snapshot, an event, or the answer to a request.
+def read_screen_line(line: bytes) -> Snapshot | Event | Checked | str:
+    """Return what a line holds: a snapshot, an event, findings, or the answer to a request.
 
-    Raises :class:`ValueError` for JSON that is neither snapshot nor event.
+    Raises :class:`ValueError` for JSON that is none of them.
     """
     if not line.startswith(b"{"):
         return line.decode("utf-8", "replace").strip()
     try:
         ((kind, content),) = json.loads(line).items()
+        if kind == "checked":
+            findings = tuple(Finding(**finding) for finding in content["findings"])
+            return Checked(findings, tuple(content["steps"]))
         return Event(**content) if kind == "event" else _snapshot(content)
     except (TypeError, KeyError, AttributeError, ValueError) as error:
         raise ValueError(f"expected a snapshot or an event: {error}") from None
@@ -106,12 +116,18 @@ TERMINAL = "terminal"
 """The author of what comes from the terminal that began the flight."""
 CLIENT = "client of the control socket"
 """The author of what comes from a client that does not say who it is."""
+STALE: Final = 2.0
+"""Seconds after which what a screen has shown is too old to give the go."""
 _MOST_WAITING = 20
 """Lines that wait for a slow screen before it misses snapshots: those of two seconds."""
 
 
 class RequestHandler(Protocol):
     """An object that handles operator requests: the conductor."""
+
+    @property
+    def now(self) -> float:
+        """The time of snapshots and events."""
 
     def request(self, request: Request, author: str) -> str:
         """Handle a request of an author; return its effect."""
@@ -144,6 +160,8 @@ class OperatorConsole:
             )
         if word == "kill":
             return self._kill(rest.strip())
+        if word == "go":
+            return self._go(rest)
         if word == "key":
             return self.key(rest.strip()[:1] or " ") or "no request has this key"
         for request in REQUESTS:
@@ -164,6 +182,18 @@ class OperatorConsole:
             return words
         request = KEYS.get(key)
         return None if request is None else self._flight.request(request, self.author)
+
+    def _go(self, seen: str) -> str:
+        """Give the go, by a screen that shows the present state."""
+        try:
+            age = self._flight.now - float(seen)
+        except ValueError:
+            age = STALE
+        if 0.0 <= age < STALE:
+            return self._flight.request("go", self.author)
+        words = "go: this screen does not show the present state; nothing was armed"
+        self._flight.report("operator", f"{words} ({self.author})")
+        return words
 
     def note(self, text: str) -> None:
         """Add an event to the record, with its author."""
@@ -206,11 +236,13 @@ class OperatorConsole:
 class _Client:
     """A client of the control socket; ``lines`` wait to be sent.
 
-    ``follows`` says whether it gets snapshots and events, ``watches`` whether it is a screen.
+    ``account`` is its account where that is not ours; ``follows`` says whether it gets snapshots
+    and events, ``watches`` whether it is a screen.
     """
 
     console: OperatorConsole
     received: bytes = b""
+    account: str = ""
     follows: bool = False
     watches: bool = False
     lines: deque[bytes] = field(default_factory=deque)
@@ -219,20 +251,27 @@ class _Client:
 class ControlSocket:
     """The control socket; :meth:`poll` never blocks."""
 
-    def __init__(self, path: Path, console: Callable[[], OperatorConsole]) -> None:
+    def __init__(
+        self, path: Path, console: Callable[[], OperatorConsole], group: int | None = None
+    ) -> None:
         """Create the socket; raises :class:`VehicleError` if that fails.
 
-        Every client has a ``console`` of its own: the number that stops the motors belongs to it.
+        The members of ``group`` may open it, too: they command the team. Every client has a
+        ``console`` of its own: the number that stops the motors belongs to it.
         """
         self._path, self._console = path, console
         self._clients: dict[socket.socket, _Client] = {}
         self._events: list[bytes] = []
         self._snapshot: Snapshot | None = None
+        self._checked: bytes | None = None
         self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         before = os.umask(0o177)
         try:
             path.unlink(missing_ok=True)
             self._listening.bind(str(path))
+            if group is not None:
+                os.chown(path, -1, group)
+                path.chmod(0o660)
             self._listening.listen(_MAX_CLIENTS)
             self._listening.setblocking(False)
         except OSError as error:
@@ -246,11 +285,13 @@ class ControlSocket:
         """Whether a client is a screen of the flight."""
         return any(client.watches for client in self._clients.values())
 
-    def publish(self, item: Snapshot | Event) -> None:
-        """Queue a snapshot or an event for the screens; a slow one misses snapshots, not events."""
+    def publish(self, item: Snapshot | Event | Checked) -> None:
+        """Queue an item for the screens; a slow one misses snapshots, nothing else."""
         watching = [client for client in self._clients.values() if client.follows]
         if isinstance(item, Event):
             self._events.append(screen_line(item))
+        elif isinstance(item, Checked):
+            self._checked = screen_line(item)
         else:
             self._snapshot = item
             watching = [client for client in watching if len(client.lines) < _MOST_WAITING]
@@ -265,7 +306,9 @@ class ControlSocket:
             while len(self._clients) < _MAX_CLIENTS:
                 accepted, _ = self._listening.accept()
                 accepted.setblocking(False)
-                self._clients[accepted] = _Client(self._console())
+                client = _Client(self._console(), account=_other_account(accepted))
+                client.console.author = _named(client, client.console.author)
+                self._clients[accepted] = client
         for connection, client in list(self._clients.items()):
             try:
                 data = connection.recv(_MAX_LINE)
@@ -286,7 +329,7 @@ class ControlSocket:
             text = line.decode("utf-8", "replace").strip()
             word, _, rest = text.partition(" ")
             if word == "name":
-                client.console.author = printable(rest)
+                client.console.author = _named(client, printable(rest))
             elif word == "note":
                 client.console.note(printable(rest))
             elif text == "watch" or word == "screens":
@@ -303,6 +346,8 @@ class ControlSocket:
         if not client.follows:
             client.follows = True
             client.lines.extend(self._events)
+            if self._checked is not None:
+                client.lines.append(self._checked)
             self._show_latest(client)
 
     def _show_latest(self, client: _Client) -> None:
@@ -334,6 +379,37 @@ class ControlSocket:
             self._disconnect(connection)
         self._listening.close()
         self._path.unlink(missing_ok=True)
+
+
+def parse_group(name: str) -> int:
+    """Return the number of a group of accounts; raises ValueError for one that is not ours."""
+    try:
+        number = grp.getgrnam(name).gr_gid
+    except KeyError:
+        raise ValueError(f"expected a group of this machine, got {name!r}") from None
+    if os.geteuid() and number not in {os.getegid(), *os.getgroups()}:
+        raise ValueError(f"expected a group that this account is in, got {name!r}")
+    return number
+
+
+def _named(client: _Client, name: str) -> str:
+    """Return how the record names a client: with its account where that is another one than ours,
+    as the system says, whatever the client says."""
+    return f"{name} (account {client.account})" if client.account else name
+
+
+def _other_account(connection: socket.socket) -> str:
+    """Return the account at the other end; "" for our own, and where the system does not say."""
+    option = getattr(socket, "SO_PEERCRED", None)
+    if option is None:
+        return ""
+    _, uid, _ = struct.unpack("3i", connection.getsockopt(socket.SOL_SOCKET, option, 12))
+    if uid == os.getuid():
+        return ""
+    try:
+        return pwd.getpwuid(uid).pw_name
+    except KeyError:
+        return str(uid)
 
 
 @contextmanager

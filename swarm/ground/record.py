@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm.errors import InputError, Problem
+from swarm.errors import InputError, Problem, reason
 from swarm.flight.archive import certificate_document
 from swarm.flight.flight_plan import Basis, FlightPlan
 from swarm.flight.result import FlightResult, adherence_object
@@ -57,6 +57,22 @@ def control_socket(folder: Path) -> Path | None:
     """Return the path of the control socket; None if it is longer than a socket's path may be."""
     path = folder / "control"
     return path if len(os.fsencode(path)) < LONGEST_SOCKET_PATH else None
+
+
+def share_folder(folder: Path, group: int | None) -> None:
+    """Let the members of a group, if any, read a record and what this process will write into it.
+
+    Raises :class:`InputError` where that is not possible.
+    """
+    if group is None:
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        os.chown(folder, -1, group)
+        folder.chmod(folder.stat().st_mode | 0o2050)  # new files belong to the group of the folder
+    except OSError as error:
+        raise InputError([Problem(str(folder), reason(error))]) from None
+    os.umask(os.umask(0o027) & ~0o040)
 
 
 def _timestamp() -> str:

@@ -62,9 +62,9 @@ def recorded_basis(record: Path, plan: Plan) -> Basis | None:
     return basis
 
 
-def recorded_fleet(record: Path) -> Fleet:
-    """Return the fleet of a record."""
-    _require(record, "fleet.json", "flight.tlog")
+def recorded_fleet(record: Path, *, flown: bool = True) -> Fleet:
+    """Return the fleet of a record; that of a check on the ground was not ``flown``."""
+    _require(record, "fleet.json", *(["flight.tlog"] if flown else []))
     path = record / "fleet.json"
     try:
         return Fleet.model_validate_json(read_bytes(path, LARGEST_FILE))

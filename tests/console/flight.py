@@ -57,11 +57,17 @@ class FlightStub:
         self._control: ControlSocket | None = None
         self._over = threading.Event()
         self._watched = False
+        self._now = 0.0
 
     @property
     def watched(self) -> bool:
         """Whether a screen is attached to the flight."""
         return self._watched
+
+    @property
+    def now(self) -> float:
+        """The time of the newest snapshot."""
+        return self._now
 
     def request(self, request: str, author: str) -> str:
         """Take a request."""
@@ -85,7 +91,8 @@ class FlightStub:
             control.poll()
             self._watched = control.watched
             if tick % 5 == 0:
-                control.publish(snapshot(0.01 * tick))
+                self._now = 0.01 * tick
+                control.publish(snapshot(self._now))
             time.sleep(0.01)
         (self.folder / "summary.json").write_text('{"outcome": "done", "explanation": "landed"}')
         with suppress(OSError):

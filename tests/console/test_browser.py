@@ -1,5 +1,6 @@
 """The console's page in a real Chromium, of a real flight with emulated vehicles."""
 
+import os
 import re
 import shutil
 import socket
@@ -206,6 +207,103 @@ def test_two_browsers_command_a_flight(tmp_path, browser):
         "land by console 2: ",
     ):
         assert words in events, words
+
+
+ASKED = """
+import sys, threading
+from pathlib import Path
+from swarm.console.launch import Address, open_console
+from swarm.ground.flight_process import FlightRequest, fly_in_process
+from swarm.ground.fly import FlightCallbacks, FlyOptions
+from swarm.mission.fleet import emulated_fleet
+from tests.network import small_plan
+
+folder = Path("flight").absolute()
+options = FlyOptions(control=folder / "control", screens_answer=True)
+request = FlightRequest(small_plan(), emulated_fleet(3), folder, options, confirm=True)
+folder.mkdir()
+with open_console(folder, Address("127.0.0.1", 0), None) as console:
+    print(console.message, flush=True)
+    asked = FlightCallbacks(confirm=lambda _: threading.Event().wait())
+    print(fly_in_process(request, asked).outcome.explanation, flush=True)
+"""
+
+
+def test_the_go_before_arming_comes_from_who_has_command(tmp_path, browser):
+    """Findings are on the page; who reads cannot give the go, a page that stands still neither."""
+    root = str(Path(__file__).parents[2])
+    environment = {**os.environ, "PYTHONPATH": root}
+    with ExitStack() as stack:
+        flight = stack.enter_context(
+            subprocess.Popen(
+                [sys.executable, "-c", ASKED], cwd=tmp_path, env=environment, text=True,
+                stdout=subprocess.PIPE,
+            )
+        )  # fmt: skip
+        stack.callback(flight.kill)
+        url = flight.stdout.readline().split()[-1]
+        anna, errors = page_of(browser, url, 1280, "light")
+        ben, other_errors = page_of(browser, url, 390, "dark")
+        for page, width in ((anna, 1280), (anna, 768), (ben, 390)):
+            page.set_viewport_size({"width": width, "height": 900})
+            shows(page, "#checked tbody", "placement")
+            shows(page, ".buttons .go", "arms 3 vehicles and flies, after 3 s")
+            expect(page.locator(".buttons .go")).to_be_disabled()
+            assert page.evaluate("document.documentElement.scrollWidth") == width
+        anna.click("#take")
+        shows(ben, "#holder", "console 1 has command.")
+        expect(ben.locator(".buttons .go")).to_be_disabled()
+        ben.evaluate("say({ do: 'command', command: 'go', seen: state.time })")
+        shows(ben, "#answer", "console 1 has command: this console only reads")
+        anna.evaluate("say({ do: 'command', command: 'go', seen: state.time - 2.5 })")
+        shows(anna, "#answer", "this screen does not show the present state; nothing was armed")
+        anna.reload()
+        shows(anna, "#holder", "You have command.")
+        shows(anna, "#phases + *, #wait", "waiting for the ground check and the go")
+        anna.click(".buttons .go")
+        shows(anna, "#answer", "go: arms 3 vehicles and flies")
+        shows(anna, "#events", "take-off in 1 s")
+        shows(ben, "#clock", re.compile("0:0[1-9]"))
+        for page in (anna, ben):
+            expect(page.locator(".checked")).to_be_hidden()
+            expect(page.locator(".buttons .go")).to_be_hidden()
+        anna.click(".buttons .land")
+        shows(ben, "#wait", "The flight has ended. ")
+        assert "landed" in flight.stdout.read()
+        assert (errors, other_errors) == ([], [])
+    events = (tmp_path / "flight" / "events.jsonl").read_text()
+    assert "go by console 1: arms 3 vehicles and flies" in events
+    assert "nothing was armed (console 1)" in events
+
+
+def test_the_page_of_a_check_asks_before_parameters_are_set(tmp_path, browser):
+    command = [SWARM, "check", "--fix", "--record", "check", "--console", "127.0.0.1:0"]
+    (tmp_path / "fleet.yaml").write_text(
+        "{schema: 1, name: two, emulated: {}, links: {net: 'udpin://127.0.0.1:0'}, vehicles: ["
+        "{sysid: 1, links: [net], autopilot: px4}, {sysid: 7, links: [net], autopilot: px4}]}"
+    )
+    with subprocess.Popen(
+        [*command, "--fleet", "fleet.yaml"], cwd=tmp_path, text=True,
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    ) as check:  # fmt: skip
+        for line in check.stdout:
+            if found := re.match(r"Console: (http://\S+)", line):
+                break
+        page, errors = page_of(browser, found[1], 390, "light")
+        shows(page, ".buttons .go", "sets these ")
+        shows(page, "#team tbody", "7not ready: COM_OBL_RC_ACT is 0")
+        shows(page, "#checked tbody", "systems 1, 7: COM_OBL_RC_ACT is 0")
+        shows(page, "#phases .current", "parameters")
+        shows(page, ".buttons .interrupt", "End the check")
+        for hidden in (".maps", ".buttons .hold", ".buttons .kill", "#margins"):
+            expect(page.locator(hidden)).to_be_hidden()
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
+        page.click("#take")
+        page.click(".buttons .go")
+        shows(page, "#answer", "go: sets these ")
+        shows(page, "#wait", "The check has ended. GO for flight")
+        assert "set systems 1, 7: COM_OBL_RC_ACT 0" in check.stdout.read()
+        assert (check.wait(), errors) == (0, [])
 
 
 def test_without_the_token_the_page_asks_for_it(tmp_path, browser):

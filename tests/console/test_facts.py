@@ -6,9 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarm.certification.findings import Finding
 from swarm.certification.monitor import Clearances
-from swarm.console.facts import Rates, event_facts, plan_facts, state_facts
-from swarm.flight.snapshot import Event
+from swarm.console.facts import (
+    Rates,
+    checked_facts,
+    event_facts,
+    fleet_facts,
+    plan_facts,
+    state_facts,
+)
+from swarm.flight.snapshot import Checked, Event
+from swarm.flight.stages import CheckStep
 from swarm.mission.fleet import emulated_fleet
 from tests.console.flight import snapshot
 from tests.network import Network, small_plan
@@ -96,6 +105,51 @@ def test_what_the_clock_waits_for_names_who_is_missing():
     }  # fmt: skip
     held = facts(held="wind", time_left=3.0)["wait"]
     assert (held["words"], held["then"]) == ("hold: wind", "then all land together")
+
+
+def test_go_and_refuse_are_shown_on_the_ground_only():
+    assert not {"go", "refuse"} & facts()["commands"].keys()
+    assert {"go", "refuse"} <= facts(phase="ready")["commands"].keys()
+
+
+def test_findings_are_listed_errors_first_and_those_of_several_vehicles_once():
+    found = checked_facts(
+        Checked(
+            (
+                Finding("info", "health", "system 1: healthy"),
+                Finding("warning", "battery", "system 2: 40 %"),
+                Finding("info", "health", "system 2: healthy"),
+                Finding("error", "ready", "system 1: no attitude"),
+            )
+        )
+    )
+    assert found["phases"] == []
+    assert found["rows"] == [
+        {"level": "bad", "check": "ready", "words": "system 1: no attitude"},
+        {"level": "warn", "check": "battery", "words": "system 2: 40 %"},
+        {"level": "idle", "check": "health", "words": "systems 1–2: healthy"},
+    ]
+
+
+def test_a_check_without_a_plan_has_rows_by_system_and_says_which_vehicle_to_move():
+    fleet = emulated_fleet(3)
+    named = fleet_facts(fleet)
+    assert (named["name"], named["paths"], named["duration"]) == (fleet.name, None, None)
+    shown = snapshot(
+        10.0, phase=CheckStep.BODIES, numbers=(4, 5, 6), missing=(5,), armed=(False,) * 3,
+        states=("moves its body", "move this one now", "leave it on the ground"),
+        waiting_for="vehicle 5: turn it", problems=("not healthy", "", ""),
+        position=np.full((3, 3), np.nan), setpoint=np.full((3, 3), np.nan),
+        available={"go": (False, "nothing is asked now"), "interrupt": (True, "ends the check")},
+    )  # fmt: skip
+    found = state_facts(None, shown, Rates.first(shown))
+    json.dumps(found, allow_nan=False)
+    assert [(row["number"], row["level"]) for row in found["rows"]] == [
+        (4, "idle"), (5, "warn"), (6, "idle"),
+    ]  # fmt: skip
+    assert found["wait"]["words"] == "vehicle 5: turn it"
+    assert list(found["commands"]) == ["go", "interrupt"]
+    assert (found["ground"], found["margins"], found["strands"]) == (True, [], [])
 
 
 def test_rates_count_packets_over_two_seconds():

@@ -128,6 +128,24 @@ def test_who_has_no_command_only_reads(two):
     assert two.lines() == []
 
 
+def test_a_go_has_the_time_of_the_state_that_its_page_shows(two):
+    two.say(1, "command", command="go", seen=12.5)
+    assert two.lines() == ["name Anna (console 1)", "go 12.5"]
+    assert answers(two.answer("arms 3 vehicles")) == [(1, "go", "arms 3 vehicles")]
+    said = two.say(2, "command", command="go", seen=12.5)
+    assert answers(said) == [
+        (2, "command", "Anna (console 1) has command: this console only reads")
+    ]
+    assert two.lines() == []
+
+
+@pytest.mark.parametrize("seen", [{}, {"seen": "12.5"}, {"seen": None}, {"seen": True}])
+def test_a_go_without_the_time_that_was_seen_ends_its_connection(two, seen):
+    two.say(1, "command", command="go", **seen)
+    assert two.closed[1] == (MESSAGE_CODE, "seen: expected a time")
+    assert not any(line.startswith("go") for line in two.lines())
+
+
 def test_command_is_handed_over_on_request(two):
     two.say(2, "take")
     for connection in (1, 2):

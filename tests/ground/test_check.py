@@ -1,7 +1,10 @@
 """Ground checks through MAVSDK: findings, and parameters that are set and restored."""
 
 import json
+import socket
 import sys
+import threading
+import time
 from collections import Counter
 from dataclasses import replace
 
@@ -10,8 +13,10 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from swarm.certification.findings import Finding, in_common
-from swarm.errors import InputError, VehicleError
+from swarm.errors import InputError, Interrupted, VehicleError
 from swarm.flight.fleet_listener import LinkQuality, radio_finding, radio_findings
+from swarm.flight.snapshot import Checked, Event, Snapshot
+from swarm.flight.stages import CheckStep
 from swarm.ground.commissioning.check import (
     CheckOptions,
     CheckReport,
@@ -19,10 +24,13 @@ from swarm.ground.commissioning.check import (
     check,
     save_parameters,
 )
+from swarm.ground.commissioning.screens import CheckScreens
 from swarm.ground.fly import FlyOptions, fly
+from swarm.ground.operator import read_screen_line
 from swarm.ground.sockets import Links
 from swarm.mavlink.fence import polygon
 from swarm.mission.fleet import emulated_fleet, parse_fleet
+from tests.command import run
 from tests.network import small_plan
 
 
@@ -61,6 +69,93 @@ def test_parameters_are_checked_set_and_restored(tmp_path):
     assert not restored.passed
     with pytest.raises(InputError, match="expected the saved parameters of an earlier check"):
         check(fleet, tmp_path / "no", options=CheckOptions(restore=tmp_path / "nowhere"))
+
+
+class Screen:
+    """A screen of a check, in a thread; keeps what it gets and answers what is asked."""
+
+    def __init__(self, folder, answer):
+        self.items, self._answer, self._control = [], answer, folder / "control"
+        self._thread = threading.Thread(target=self._watch)
+        self._thread.start()
+
+    def _watch(self):
+        while not self._control.exists():
+            time.sleep(0.02)
+        with socket.socket(socket.AF_UNIX) as client, client.makefile("rb") as lines:
+            client.connect(str(self._control))
+            client.sendall(b"name Anna\nwatch\n")
+            for line in lines:
+                self.items.append(read_screen_line(line))
+                if isinstance(item := self.items[-1], Snapshot) and (say := self._answer(item)):
+                    client.sendall(say.encode() + b"\n")
+
+    def of(self, kind):
+        self._thread.join()
+        return [item for item in self.items if isinstance(item, kind)]
+
+
+def test_a_screen_sees_a_check_and_answers_its_question(tmp_path):
+    """The progress, each vehicle's state and what is wrong, the question of --fix, the result."""
+    screens = CheckScreens(tmp_path / "control")
+    asked = []
+
+    def confirmed(rows):
+        with screens.asking(f"sets {len(rows)} parameters") as answer:
+            while (given := answer()) is None:
+                time.sleep(0.02)
+        return asked.append(given) or given
+
+    def answer(seen):
+        return f"go {seen.time}" if seen.available["go"][0] else "hold" if not asked else ""
+
+    screen = Screen(tmp_path, answer)
+    options = CheckOptions(confirm_fix=confirmed, screens=screens)
+    report = check(emulated_fleet(2), tmp_path, options=options)
+    snapshots = screen.of(Snapshot)
+    assert asked == [True]
+    # a step may be shorter than the time between two snapshots
+    seen = list(dict.fromkeys(shot.phase for shot in snapshots))
+    assert seen == [step for step in CheckStep if step in seen]
+    assert {"vehicles", "parameters", "result"} <= set(seen) <= {
+        "vehicles", "parameters", "places", "Hold mode", "result",
+    }  # fmt: skip
+    done = [shot.mission_time for shot in snapshots]
+    assert done == sorted(done)
+    assert done[-1] == 4.0
+    assert snapshots[-1].numbers == (1, 2)
+    assert snapshots[-1].states == ("ready", "ready")
+    wrong = {shot.problems[0] for shot in snapshots}
+    assert any(words.startswith("COM_OBL_RC_ACT is 0") for words in wrong), wrong
+    assert any(str(shot.waiting_for).startswith("parameters: ") for shot in snapshots)
+    last = screen.of(Checked)[-1]
+    assert last.findings == report.findings
+    assert last.steps == ("vehicles", "parameters", "places", "Hold mode", "result")
+    answers = set(screen.of(str))
+    assert "no vehicle flies in a check" in answers
+    assert any(words.startswith("sets ") for words in answers)
+    assert any("go by Anna: sets " in event.message for event in screen.of(Event))
+    assert json.loads((tmp_path / "summary.json").read_text()) == {
+        "outcome": "GO for flight", "explanation": "", "exit_code": 0,
+    }  # fmt: skip
+    assert not (tmp_path / "control").exists()
+
+
+def test_a_screen_ends_a_check(tmp_path):
+    screens = CheckScreens(tmp_path / "control")
+    screen = Screen(tmp_path, lambda _: "interrupt")
+    with pytest.raises(Interrupted, match=r"^ended by Anna$"):
+        check(emulated_fleet(2), tmp_path, options=CheckOptions(screens=screens))
+    assert "ends the check: no vehicle is armed" in screen.of(str)
+    ended = json.loads((tmp_path / "summary.json").read_text())
+    assert (ended["outcome"], ended["exit_code"]) == ("interrupted", 130)
+
+
+def test_a_console_of_a_check_has_no_hop():
+    done = run("check", "overhand", "--hop", "--console")
+    assert (done.returncode, done.stderr.strip()) == (
+        2, "--console: its page ends before a hop: check first, then fly the hop without it"
+    )  # fmt: skip
 
 
 def test_a_flight_with_autopilot_defaults_is_refused_by_the_audit(tmp_path):

@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import pty
 import signal
+import socket
 import subprocess
 import sys
 import termios
@@ -17,6 +18,7 @@ import pytest
 from swarm.errors import InputError, VehicleError
 from swarm.ground.flight_process import FlightRequest, _Keys, _serve, fly_in_process
 from swarm.ground.fly import FlightCallbacks, FlyOptions
+from swarm.ground.operator import read_screen_line
 from swarm.ground.priority import helper_niceness
 from swarm.mission.fleet import emulated_fleet
 from tests.network import small_plan
@@ -73,6 +75,52 @@ def test_a_flight_that_is_not_confirmed_is_refused(tmp_path):
     )
     result = fly_in_process(flight, FlightCallbacks(confirm=lambda _: False))
     assert (result.outcome.word, result.outcome.explanation) == ("refused", "not confirmed")
+
+
+def asking_caller(folder):
+    """The result of a flight whose caller is asked, and answered by a screen; what ended it."""
+    ended = []
+
+    def confirm(_audit):
+        try:
+            threading.Event().wait()
+        except BaseException as error:
+            ended.append(type(error).__name__)
+            raise
+
+    control = folder / "control"
+
+    def screen():
+        while not control.exists():
+            time.sleep(0.05)
+        with socket.socket(socket.AF_UNIX) as client, client.makefile("rb") as lines:
+            client.connect(str(control))
+            client.sendall(b"name Anna\n")
+            while True:
+                client.sendall(b"snapshot\n")
+                seen = read_screen_line(lines.readline())
+                if seen.available["go"][0]:
+                    client.sendall(f"go {seen.time}\n".encode())
+                    if b"arms 3" in lines.readline():
+                        return
+                time.sleep(0.02)
+
+    asking = threading.Thread(target=screen)
+    asking.start()
+    options = FlyOptions(speed=8.0, control=control, screens_answer=True)
+    request = FlightRequest(FLIGHT_PLAN, emulated_fleet(3), folder, options, confirm=True)
+    result = fly_in_process(request, FlightCallbacks(confirm=confirm))
+    asking.join()
+    return result, ended
+
+
+def test_a_screen_answers_in_the_place_of_the_caller(tmp_path):
+    """In a process of its own: the question is ended by a signal in the main thread."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        result, ended = pool.submit(asking_caller, tmp_path / "record").result()
+    assert result.outcome.word == "done", result.events[-5:]
+    assert ended == ["AnsweredElsewhere"]
+    assert any(event.message.startswith("go by Anna: arms 3") for event in result.events)
 
 
 def test_errors_are_passed_on_unchanged(tmp_path):

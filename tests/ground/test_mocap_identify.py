@@ -12,9 +12,10 @@ from sitl import Emulator
 from sitl.faults import parse_scenario
 from sitl.server import MotionCapture
 from sitl.world import default_world
-from swarm.flight.identification import Identification
+from swarm.flight.identification import Identification, Identified
 from swarm.flight.router import Team
 from swarm.flight.world import bare_world
+from swarm.ground.commissioning.identify import moved_words
 from swarm.ground.mocap import MocapBridge, parse_frame
 from swarm.mission.fleet import emulated_fleet, parse_fleet
 from tests.command import run
@@ -104,6 +105,17 @@ def test_swapped_bodies_are_named_and_what_is_wrong_with_each():
     assert "vehicle 2 moves body 3, not body 2" in said
     assert found[1:] == ["vehicle 2 moves body 3: bodies 2 and 3 are swapped"]
     assert found[0].startswith("body 1 on vehicle 1 is turned by 90 degrees")
+
+
+def test_screens_name_the_vehicle_to_move_and_what_was_seen_of_the_others():
+    seen = {1: Identified(1, 1), 2: Identified(2, 4), 3: Identified(3, None)}
+    assert moved_words(Identification((1, 2, 3, 4, 5), 4, seen)) == {
+        1: "moves its body",
+        2: "moves body 4",
+        3: "its body is wrong",
+        4: "move this one now",
+        5: "leave it on the ground",
+    }
 
 
 @pytest.mark.usefixtures("in_real_time")

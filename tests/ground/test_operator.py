@@ -1,26 +1,35 @@
 """Typed requests, keys and the control socket."""
 
+import grp
 import os
 import pty
+import pwd
 import socket
 import stat
+import subprocess
+import sys
+import tempfile
 from contextlib import suppress
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from swarm.certification.findings import Finding
 from swarm.certification.monitor import Clearances
 from swarm.errors import VehicleError
-from swarm.flight.snapshot import Event, Snapshot
+from swarm.flight.snapshot import Checked, Event, Snapshot
 from swarm.ground.operator import (
     KEYS,
     KILL_KEY,
     ControlSocket,
     OperatorConsole,
+    parse_group,
     read_screen_line,
     terminal_keys,
 )
+from swarm.ground.record import Record, share_folder
 
 SNAPSHOT = Snapshot(
     time=12.5, mission_time=11.0, rate=0.5, phase="fold", waiting_for=None,
@@ -46,6 +55,7 @@ class Flight:
         self.requests = []
         self.authors = []
         self.reports = []
+        self.now = 20.0
 
     def report(self, kind, message):
         self.reports.append((kind, message))
@@ -90,6 +100,31 @@ def test_kill_is_confirmed_with_the_number_in_the_answer(flight, console):
     assert flight.requests == ["kill"]
     console.line(f"kill {number}")
     assert flight.requests == ["kill"]
+
+
+@pytest.mark.parametrize("seen", ["17.9", "20.5", "nan", "", "now", "-inf"])
+def test_a_go_by_a_screen_that_shows_no_present_state_arms_nothing(flight, console, seen):
+    words = "go: this screen does not show the present state; nothing was armed"
+    assert console.line(f"go {seen}") == words
+    assert flight.requests == []
+    assert flight.reports == [("operator", f"{words} (terminal)")]
+
+
+def test_a_go_names_the_state_that_was_seen(flight, console):
+    assert console.line("go 18.1") == "go it is"
+    assert (flight.requests, flight.authors) == (["go"], ["terminal"])
+
+
+def test_findings_reach_a_screen_that_comes_later(flight, tmp_path):
+    path = tmp_path / "control"
+    control = ControlSocket(path, lambda: OperatorConsole(flight, dict))
+    checked = Checked((Finding("warning", "battery", "system 1: 40 %"),), ("links", "health"))
+    control.publish(Checked(()))
+    control.publish(checked)
+    with connected(control, path) as screen:
+        screen.send(b"watch\n")
+        assert lines_for(control, screen, 1) == [checked]
+    control.close()
 
 
 def test_no_single_key_kills():
@@ -143,6 +178,78 @@ def test_the_socket_is_private_and_answers(flight, console, tmp_path):
     control.close()
     assert not path.exists()
     assert flight.requests == ["hold"]
+
+
+OTHER, GROUP = 65534, 65533
+"""An account and a group that no test runs as."""
+CLIENT_OF_OTHERS = """
+import os, socket, sys
+os.setgroups([int(group) for group in sys.argv[2:]])
+os.setgid(65534)
+os.setuid(65534)
+with socket.socket(socket.AF_UNIX) as client:
+    try:
+        client.connect(sys.argv[1])
+    except PermissionError:
+        sys.exit("refused")
+    client.sendall(b"name operator\\nhold\\n")
+    print(client.recv(100).decode())
+"""
+
+
+@pytest.fixture
+def reachable():
+    """A folder that other accounts reach; those of tests are private."""
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder).chmod(0o755)
+        yield Path(folder)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root becomes another account")
+@pytest.mark.parametrize(
+    ("group", "member", "requests"),
+    [(None, [GROUP], []), (GROUP, [], []), (GROUP, [GROUP], ["hold"])],
+)
+def test_only_members_of_the_group_reach_a_shared_flight(
+    flight, reachable, group, member, requests
+):
+    path = reachable / "control"
+    control = ControlSocket(path, lambda: OperatorConsole(flight, dict), group)
+    assert stat.S_IMODE(path.stat().st_mode) == (0o600 if group is None else 0o660)
+    with subprocess.Popen(
+        [sys.executable, "-c", CLIENT_OF_OTHERS, path, *map(str, member)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as client:  # fmt: skip
+        while client.poll() is None:
+            control.poll()
+        out, errors = client.communicate()
+    control.close()
+    assert flight.requests == requests
+    assert (out.strip(), errors.strip()) == (("hold it is", "") if requests else ("", "refused"))
+    name = pwd.getpwuid(OTHER).pw_name
+    assert flight.authors == [f"operator (account {name})"] * len(requests)
+
+
+def test_a_flight_is_shared_with_a_group_that_is_ours():
+    own = grp.getgrgid(os.getegid())
+    assert parse_group(own.gr_name) == own.gr_gid
+    with pytest.raises(ValueError, match="expected a group of this machine, got 'nobodys'"):
+        parse_group("nobodys")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files to another group")
+def test_the_record_of_a_shared_flight_is_read_by_the_group(tmp_path):
+    before = os.umask(0o077)
+    try:
+        share_folder(tmp_path / "record", GROUP)
+        record = Record(tmp_path / "record", 0.0)
+        record.close()
+    finally:
+        os.umask(before)
+    for path in (tmp_path / "record", tmp_path / "record" / "events.jsonl"):
+        found = path.stat()
+        assert (found.st_gid, bool(found.st_mode & 0o040)) == (GROUP, True)
+        assert not found.st_mode & 0o027
 
 
 def test_noise_on_the_socket_is_no_request_and_does_not_end_it(flight, console, tmp_path):

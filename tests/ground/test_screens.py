@@ -2,11 +2,13 @@
 
 import os
 import pty
+import queue
 import re
 import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -80,6 +82,93 @@ def test_on_the_ground_a_flight_without_a_screen_ends(alone, policy):
     tasks.run(flight.now)
     assert flight.conductor.finished.word == "interrupted"
     assert flight.conductor.finished.explanation == "interrupted before anything was armed"
+
+
+@pytest.fixture
+def asked(tmp_path):
+    """A flight in virtual time that is ready, its caller asked; ``ended`` counts ends of that."""
+    flight = Network(small_plan(), starts=False)
+    answers, ended = queue.SimpleQueue(), []
+    preflight = Preflight(flight.conductor, tmp_path, lambda _: answers.get(), screens_answer=True)
+    caller = Caller()
+    tasks = TickTasks(
+        flight.conductor, Record(tmp_path / "record", 0.0), preflight, lambda _: None, caller,
+        on_answered=lambda: ended.append(flight.now),
+    )  # fmt: skip
+    while not flight.conductor.state.go_asked:
+        flight.once()
+        tasks.run(flight.now)
+    yield flight, tasks, answers, ended
+    answers.put(False)
+
+
+def run_on(flight, tasks, condition):
+    while not condition():
+        flight.once()
+        tasks.run(flight.now)
+
+
+def test_the_go_of_a_screen_arms_after_a_countdown(asked):
+    flight, tasks, _answers, ended = asked
+    began = flight.now
+    words_of_go = "arms 3 vehicles and flies, after 3 s in which it can be refused"
+    assert flight.conductor.request("go", "Anna (console 1)") == words_of_go
+    run_on(flight, tasks, lambda: flight.conductor.stage == "execute")
+    assert 3.0 <= flight.now - began < 3.2
+    assert [text for text in words(flight, tasks) if "take-off in" in text] == [
+        "take-off in 3 s", "take-off in 2 s", "take-off in 1 s",
+    ]  # fmt: skip
+    assert f"go by Anna (console 1): {words_of_go}" in words(flight, tasks)
+    assert len(ended) == 1
+    assert not flight.conductor.available()["refuse"].open
+
+
+@pytest.mark.parametrize("after_go", [False, True])
+def test_a_screen_refuses_also_in_the_countdown(asked, after_go):
+    flight, tasks, _answers, ended = asked
+    if after_go:
+        flight.conductor.request("go", "Ben (console 2)")
+        run_on(flight, tasks, lambda: "take-off in 2 s" in words(flight, tasks))
+    flight.conductor.request("refuse", "Anna (console 1)")
+    tasks.run(flight.now)
+    ending = flight.conductor.finished
+    assert (ending.word, ending.explanation) == ("refused", "refused by the operator")
+    assert len(ended) == 1
+    assert not any(vehicle.armed for vehicle in flight.conductor.flyers)
+
+
+def test_the_caller_answers_as_before(asked):
+    flight, tasks, answers, ended = asked
+    answers.put(True)
+    run_on(flight, tasks, lambda: flight.conductor.stage == "execute")
+    assert len(ended) == 1
+
+
+def test_a_question_whose_caller_has_gone_waits_for_a_screen_and_ends_with_the_last(asked):
+    flight, tasks, answers, _ended = asked
+    answers.put(None)
+    tasks.control = SimpleNamespace(watched=True, poll=lambda: None, publish=lambda _: None)
+    tasks.caller.gone.set()
+    run_on(flight, tasks, lambda: tasks.preflight.abandoned)
+    for _ in range(50):
+        flight.once()
+        tasks.run(flight.now)
+    assert flight.conductor.stage == "ready"
+    tasks.unattended = "fly-on"
+    tasks.control.watched = False
+    flight.once()
+    tasks.run(flight.now)
+    assert flight.conductor.finished.explanation == "not confirmed"
+
+
+def test_nothing_is_asked_before_the_audit():
+    flight = Network(small_plan())
+    for _ in range(5):
+        flight.once()
+    for request in ("go", "refuse"):
+        assert not flight.conductor.available()[request].open
+        assert flight.conductor.request(request) == "nothing is asked now"
+    assert flight.conductor.go_given is None
 
 
 class Terminal:

@@ -11,6 +11,7 @@ const [WRONG_TOKEN, MANY_TOKENS, REPLACED] = [4001, 4002, 4003]; // codes of ses
 
 let socket = null, plan = null, state = null, people = null, me = null;
 let heardAt = 0, ended = null, view = "flat", killNumber = null;
+let steps = []; // of a check on the ground, which is no flight
 let token = takenToken();
 
 // The token comes with the address of the page, or from the last time in this window.
@@ -91,12 +92,9 @@ const HANDLERS = {
     $("mission").textContent = plan.name;
     $("kind").textContent = plan.words + (plan.emulated ? "; emulated vehicles" : "");
     document.title = `${plan.name}: swarm console`;
-    $("phases").replaceChildren(...plan.phases.map((phase) => {
-      const item = document.createElement("li");
-      item.textContent = phase.name;
-      item.title = phase.name;
-      return item;
-    }));
+    document.querySelector(".maps").hidden = plan.paths === null;
+    $("console").classList.toggle("mapless", plan.paths === null);
+    showPhases();
     makeButtons();
   },
   state(message) {
@@ -121,6 +119,20 @@ const HANDLERS = {
     people = message;
     showPeople();
   },
+  checked(message) {
+    const over = state !== null && !state.ground;
+    document.querySelector(".checked").hidden = over || message.rows.length === 0;
+    if (message.phases.length !== steps.length) {
+      steps = message.phases;
+      showPhases();
+    }
+    fill($("checked").tBodies[0], message.rows.length, 3, (cells, k) => {
+      const row = message.rows[k];
+      put(cells[0], { bad: "error", warn: "warning", idle: "" }[row.level], row.level);
+      put(cells[1], row.check);
+      put(cells[2], row.words, row.level);
+    });
+  },
   answer(message) {
     if (message.command === "kill") endKill();
     const words = message.words.startsWith(`${message.command}:`) ? message.words
@@ -137,12 +149,26 @@ const HANDLERS = {
   },
   ended(message) {
     ended = message.words;
-    $("wait").textContent = `The flight has ended. ${ended}`;
-    showLink("the flight has ended", false);
+    const what = steps.length ? "check" : "flight";
+    put($("wait"), `The ${what} has ended. ${ended}`, `wait ${message.level}`);
+    showLink(`the ${what} has ended`, false);
     endKill();
     showPeople();
   },
 };
+
+const phases = () => (steps.length ? steps : plan.phases);
+
+function showPhases() {
+  if (!plan) return;
+  $("console").classList.toggle("check", steps.length > 0);
+  $("phases").replaceChildren(...phases().map((phase) => {
+    const item = document.createElement("li");
+    item.textContent = phase.name;
+    item.title = phase.name;
+    return item;
+  }));
+}
 
 function endKill() {
   killNumber = null;
@@ -169,18 +195,21 @@ function put(element, text, kind) {
 function showLink(text, lost) {
   put($("link"), text, lost ? "link lost" : "link");
   $("console").classList.toggle("stale", lost);
+  showButtons();
 }
 
 function showState() {
   if (!plan) return;
-  put($("clock"), `${clock(state.mission)} of ${clock(plan.duration)}`);
+  const checks = steps.length > 0;
+  if (!state.ground) document.querySelector(".checked").hidden = true;
+  put($("clock"), checks ? clock(state.time) : `${clock(state.mission)} of ${clock(plan.duration)}`);
   const speed = state.rate < 0 ? `rewinding × ${(-state.rate).toFixed(2)}`
     : state.rate > 0 && state.rate < 0.995 ? `clock × ${state.rate.toFixed(2)}` : "";
   const landing = state.landing === null ? "" : `all landed in ${minutes(state.landing)}`;
   put($("landing"), [landing, speed].filter(Boolean).join(", ") || state.phase);
-  const now = plan.phases.findIndex((phase) => phase.name === state.phase);
+  const now = phases().findIndex((phase) => phase.name === state.phase);
   [...$("phases").children].forEach((item, k) => {
-    const phase = plan.phases[k];
+    const phase = phases()[k];
     item.className = now < 0 ? "" : k < now ? "done" : k === now ? "current" : "";
     const share = (state.mission - phase.start) / Math.max(phase.end - phase.start, 1e-9);
     if (k === now) item.style.setProperty("--share", `${100 * clamp(share, 0, 1)}%`);
@@ -274,15 +303,22 @@ function makeButtons() {
 
 function ask(command) {
   $("answer").textContent = "";
-  say(command === "kill" ? { do: "kill" } : { do: "command", command });
+  const more = command === "go" ? { seen: state.time } : {};
+  say(command === "kill" ? { do: "kill" } : { do: "command", command, ...more });
 }
 
 const holding = () => people !== null && me !== null && people.holder === me;
 
 function showButtons() {
   for (const button of $("buttons").children) {
-    const [possible, effect] = (state && state.commands[button.dataset.command]) || [false, ""];
-    button.disabled = !(holding() && possible && ended === null);
+    const command = button.dataset.command;
+    if (command === "interrupt")
+      put(button.querySelector("span"), steps.length ? "end the check" : "end the flight");
+    const [possible, effect] = (state && state.commands[command]) || [false, ""];
+    button.hidden = state !== null && !(command in state.commands);
+    // who gives the go must see the present state
+    const old = command === "go" && $("console").classList.contains("stale");
+    button.disabled = !(holding() && possible && ended === null && !old);
     put(button.querySelector("small"), effect);
   }
 }
@@ -339,7 +375,7 @@ document.addEventListener("keydown", (event) => {
 const drawSpace = spaceView($("scene"), $("labels"));
 
 function redraw() {
-  if (!plan || document.hidden) return;
+  if (!plan || plan.paths === null || document.hidden) return;
   if (view === "space") return drawSpace(plan, state);
   drawAbove($("above"), plan, state);
   drawSide($("side"), plan, state);

@@ -18,10 +18,11 @@ import numpy as np
 
 from swarm.certification.certificate import CertifiedPlan
 from swarm.certification.findings import Finding, Severity
-from swarm.errors import InputError, Problem, Refused, VehicleError
+from swarm.errors import InputError, Interrupted, Problem, Refused, SwarmError, VehicleError
 from swarm.files import parse_json, read_bytes
 from swarm.flight.bodies import PoseRow, pose_rows
 from swarm.flight.fleet_listener import FleetListener, LinkQuality, radio_findings
+from swarm.flight.identification import Identification
 from swarm.flight.parameters import (
     STREAM_LOSS_TIME,
     ParameterResult,
@@ -34,7 +35,10 @@ from swarm.flight.parameters import (
     stream_loss_model,
 )
 from swarm.flight.preparation import GATHERING, Prepared, mission_fence
+from swarm.flight.stages import CheckStep
+from swarm.ground.commissioning.identify import guided, moved_words
 from swarm.ground.commissioning.mavsdk_client import VehicleReport, vehicle_reports
+from swarm.ground.commissioning.screens import CheckScreens
 from swarm.ground.commissioning.survey import Survey, open_survey
 from swarm.ground.mocap_bridge import Borrowed
 from swarm.ground.relay import Relay
@@ -341,6 +345,7 @@ SUBJECTS = {
     "battery": "battery",
     "position": "position quality",
     "poses": "poses of motion capture",
+    "bodies": "bodies of motion capture, moved by hand",
     "corrections": "corrections of positions",
     "parameters": "parameters",
     "fence": "fences",
@@ -431,6 +436,10 @@ class CheckOptions:
     - ``rtcm``: address of a source of corrections that are sent to the vehicles' receivers.
     - ``mocap``: URL of a motion capture system whose poses are sent to the vehicles; without it,
       those of a bridge that runs for the fleet are looked at.
+    - ``identify``: have a person move one vehicle after the other, and compare it with the bodies
+      of motion capture; ``say`` gets what is asked for and what was seen.
+    - ``beforehand``: findings that are part of the result, and known before.
+    - ``screens``: the screens of the check.
     - ``prepared``: emulated vehicles start with the parameters that are required.
     - ``progress``: called from another thread with the present step.
     """
@@ -443,6 +452,10 @@ class CheckOptions:
     fence: bool = False
     mocap: str | None = None
     prepared: bool = False
+    identify: bool = False
+    say: Callable[[str], None] = lambda _: None
+    beforehand: tuple[Finding, ...] = ()
+    screens: CheckScreens = field(default_factory=CheckScreens)
 
 
 def check(
@@ -469,8 +482,28 @@ def check(
             _saved(options.restore, system)
     plan = flight_plan.plan if flight_plan else None
     required = _requirements(plan, fleet) if options.prepared else None
-    with open_survey(fleet, folder, plan, options.rtcm, options.mocap, required) as survey:
-        return survey.run(_Check(survey, folder, plan, options).run)
+    screens = options.screens
+    screens.steps = [
+        step
+        for step in CheckStep
+        if (step is not CheckStep.BODIES or options.identify)
+        and (step is not CheckStep.LINKS or options.soak > 0.0)
+    ]
+    with (
+        open_survey(fleet, folder, plan, options.rtcm, options.mocap, required) as survey,
+        screens.opened(survey.listener, plan),
+    ):
+        work = _Check(survey, folder, plan, options)
+        try:
+            report = survey.run(work.run, screens.run).with_findings(*options.beforehand)
+        except SwarmError as error:
+            word = "interrupted" if isinstance(error, Interrupted) else "failed"
+            screens.end(word, str(error), error.exit_code)
+            raise
+        screens.found(report.findings)
+        words = "GO for flight" if report.passed else "NO-GO: do not arm"
+        screens.end(words, "", 0 if report.passed else 1)
+        return report
 
 
 def _requirements(plan: Plan | None, fleet: Fleet) -> Requirements:
@@ -485,6 +518,8 @@ class _Check:
     folder: Path
     plan: Plan | None
     options: CheckOptions
+    bodies: tuple[Finding, ...] = ()
+    found: list[Finding] = field(default_factory=list)
 
     def run(self) -> CheckReport:
         self._wait_for_vehicles()
@@ -493,12 +528,16 @@ class _Check:
             for vehicle in self.listener.received
             if vehicle.autopilot is not None
         }
+        if self.options.identify:
+            self._identify()
+        self._begin(CheckStep.PARAMETERS)
         auditor = Auditor(
             self.survey.relay, names, _requirements(self.plan, self.listener.fleet),
-            self.options.progress,
+            self._progress,
             on_earth=self.listener.fleet.frame == "gps",
         )  # fmt: skip
         audits = auditor.audit()
+        self._found(finding for audit in audits for finding in audit.findings())
         self.survey.relay.closed = True
         save_parameters(self.folder, audits)
         changed: list[str] = []
@@ -507,7 +546,12 @@ class _Check:
             changed += auditor.set_fences(_fences_before(audits, self.options.restore))
             audits = auditor.updated(audits)
         audits = self._fixed(auditor, audits, changed)
+        if changed:
+            self.found = list(self.bodies)
+            self._found(finding for audit in audits for finding in audit.findings())
+        self._begin(CheckStep.PLACES)
         placement, order = self._placement()
+        self._found(placement)
         wanted = self._wanted_fence(order)
         if self.options.fence and wanted:
             changed += auditor.set_fences({audit.system: wanted for audit in audits})
@@ -517,9 +561,42 @@ class _Check:
         fences = [] if wanted is None else [audit.fence_finding(wanted) for audit in audits]
         if self.options.fence and not wanted:
             fences.append(Finding("error", "fence", f"not uploaded: {self._why_no_fence(wanted)}"))
+        self._begin(CheckStep.HOLD)
         hold = self._test_hold()
+        self._found(hold)
         links = self._soak()
-        return self._report(audits, links, changed, [*placement, *hold, *fences], order)
+        observed = [*self.bodies, *placement, *hold, *fences]
+        return self._report(audits, links, changed, observed, order)
+
+    def _begin(self, step: CheckStep) -> None:
+        self.options.screens.begin(step)
+
+    def _progress(self, words: str, share: float) -> None:
+        """Show what is done now, in the terminal and on the screens."""
+        self.options.progress(words, share)
+        self.options.screens.progress(words, share)
+
+    def _found(self, findings: Iterable[Finding]) -> None:
+        """Show findings on the screens, after those before."""
+        self.found += findings
+        self.options.screens.found(self.found)
+
+    def _identify(self) -> None:
+        """Have a person move one vehicle after the other."""
+        screens, systems = self.options.screens, self.listener.fleet.systems
+        self._begin(CheckStep.BODIES)
+
+        def show(identification: Identification, words: str) -> None:
+            self._progress(words, len(identification.results) / len(systems))
+            screens.guide(words, moved_words(identification), identification.asked)
+
+        def say(words: str) -> None:
+            self.options.say(words)
+            screens.say(words)
+
+        say("Propellers off. All vehicles on the ground, and nothing else moved.")
+        self.bodies = guided(self.survey, self.folder, say, show).findings()
+        self._found(self.bodies)
 
     @property
     def listener(self) -> FleetListener:
@@ -556,7 +633,7 @@ class _Check:
     def _wait_for_vehicles(self) -> None:
         """Wait until all vehicles are received, at the requested rates."""
         fleet = self.listener.fleet
-        self.options.progress(f"listening to {fleet.name}", 0.0)
+        self._progress(f"listening to {fleet.name}", 0.0)
         missing = self.survey.wait_for_vehicles(self._report_received)
         if missing:
             names = ", ".join(f"system {system}" for system in missing)
@@ -571,7 +648,7 @@ class _Check:
             if conflicts := self.listener.team.conflicts():
                 raise Refused("\n".join(finding.message for finding in conflicts))
         number, total = len(self.listener.received), len(self.listener.fleet.vehicles)
-        self.options.progress(f"received {number} of {total} vehicles", number / total)
+        self._progress(f"received {number} of {total} vehicles", number / total)
 
     def _placement(self) -> tuple[list[Finding], tuple[int, ...]]:
         """Wait until the vehicles are ready; return findings, and the order along the cable.
@@ -580,7 +657,7 @@ class _Check:
         not become ready by waiting.
         """
         listener = self.listener
-        self.options.progress("waiting until all are ready to arm", 0.0)
+        self._progress("waiting until all are ready to arm", 0.0)
         ready = listener.fleet.limits.ready
         self.survey.wait_until(lambda: not listener.not_ready(), _READY_TIMEOUT)
         youngest = min((vehicle.boot_ms / 1000.0 for vehicle in listener.received), default=ready)
@@ -600,7 +677,7 @@ class _Check:
     def _test_hold(self) -> list[Finding]:
         """Test Hold mode on all vehicles, on ArduPilot Brake; return the findings."""
         listener = self.listener
-        self.options.progress("testing Hold", 0.0)
+        self._progress("testing Hold", 0.0)
         listener.try_hold()
         self.survey.wait_until(lambda: listener.hold_results is not None, _HOLD_TIMEOUT)
         findings = []
@@ -617,7 +694,8 @@ class _Check:
     def _soak(self) -> Sequence[LinkQuality]:
         if self.options.soak <= 0.0:
             return ()
-        self.options.progress(f"measuring the links for {self.options.soak:g} s", 0.0)
+        self._begin(CheckStep.LINKS)
+        self._progress(f"measuring the links for {self.options.soak:g} s", 0.0)
         self.listener.begin_link_measurement()
         self.survey.wait(self.options.soak)
         return self.listener.link_quality()

@@ -49,8 +49,10 @@ class Survey:
     poses: Borrowed | MocapBridge | None = None
     _pause: threading.Event = field(default_factory=threading.Event)
 
-    def run(self, work: Callable[[], T]) -> T:
+    def run(self, work: Callable[[], T], each_tick: Callable[[float], None] = lambda _: None) -> T:
         """Keep the links while ``work`` runs in a thread; return its result.
+
+        ``each_tick`` is called beside it, in this thread, and must be fast.
 
         Raises the errors of ``work`` that are meant for the user.
         """
@@ -69,9 +71,7 @@ class Survey:
         thread.start()
         feeds = [feed for feed in (self.poses, self.corrections) if feed is not None]
         copies = [self.poses] if isinstance(self.poses, Borrowed) else []
-        Loop(
-            self.listener, self.links, None, 1.0, lambda _: None, self.relay, copies, feeds=feeds
-        ).run()
+        Loop(self.listener, self.links, None, 1.0, each_tick, self.relay, copies, feeds=feeds).run()
         thread.join()
         if errors:
             raise errors[0]
