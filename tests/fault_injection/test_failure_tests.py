@@ -6,6 +6,7 @@ at twenty random times with every team, tying a knot.
 
 import ast
 import functools
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from swarm import planner
 from swarm.certification.certificate import CertifiedPlan, certify
 from swarm.certification.contingency_windows import ContingencyWindows
 from swarm.certification.stream_loss import StreamLossCertificate, StreamLossModel, WorstLoss
+from swarm.errors import Refused
 from swarm.flight.contingency import (
     held_by_cable,
     leave_the_plan,
@@ -45,7 +47,7 @@ from swarm.simulation.stepped_simulation import (
     TeamAutopilots,
     failure_test_fleet,
 )
-from tests.network import small_plan
+from tests.network import small_mission, small_plan
 from tests.shared import drawn_by_program
 
 ROOT = Path(__file__).parents[2]
@@ -585,9 +587,49 @@ def flown_by_itself(k):
 FIRST_STEPS = Path(__file__).parents[2] / "missions" / "first-steps"
 
 
-def first_step(name):
+def first_step(name, *overrides):
     path = FIRST_STEPS / f"{name}.yaml"
-    return make_plan(parse_mission(path.read_text(), str(path)))
+    return make_plan(parse_mission(path.read_text(), str(path), overrides))
+
+
+def test_obstacles_that_vehicles_or_cable_touch_are_told():
+    flight = SteppedSimulation.create(PLAN, failure_test_fleet(3, "px4"), seed=2)
+    while flight.conductor.clock.time < PLAN.plan.phase("fold").start + 2.0:
+        flight.step()
+    truth = flight.emulator.truth()
+    (x, y, z), (east, north, up) = truth.position[1], truth.cable[len(truth.cable) // 4]
+    post = {"name": "post", "shape": "cylinder", "centre": [x, y], "radius": 0.1, "top": z - 0.1}
+    bar = {"name": "bar", "shape": "box", "centre": [east, north], "size": [0.1, 0.1],
+           "bottom": up - 0.1, "top": up + 0.1}  # fmt: skip
+    beside = post | {"name": "beside", "centre": [x, y - 1.0], "top": 9.0}
+    for higher, told in (
+        (0.0, ["cable touches bar"]),
+        (0.2, ["vehicle 2 touches post", "cable touches post", "cable touches bar"]),
+    ):
+        obstacles = json.dumps([post | {"top": z - 0.1 + higher}, beside, bar])
+        mission = small_mission(f"workspace.obstacles={obstacles}")
+        flight.flight_plan = SimpleNamespace(plan=replace(PLAN.plan, mission=mission))
+        monitor = evaluation.GroundTruthMonitor(flight, BY_NAME["lags"], 0)
+        monitor.sample()
+        assert list(monitor.obstacle_contacts) == told
+    contacts = ("vehicle 2 touches post",)
+    assert problems("battery low", obstacle_contacts=contacts, detected_after=0.2) == contacts
+
+
+def test_a_team_beside_a_truss_touches_neither_this_nor_a_table():
+    """The truss is 0.2 m farther away than the certificate needs, the table below a way."""
+    truss = {"name": "truss", "shape": "box", "centre": [-2, -2.55], "size": [8, 0.4], "top": 9.5}
+    table = {"name": "table", "shape": "box", "centre": [0.2, 3], "size": [1.6, 0.8], "top": 0.75}
+    obstacles = json.dumps([truss, table])
+    plan = first_step("pass_over", f"workspace.obstacles={obstacles}")
+    certified = CertifiedPlan(plan, certify(plan))
+    nearer = json.dumps([truss | {"centre": [-2, -2.3]}])
+    refused = first_step("pass_over", f"workspace.obstacles={nearer}")
+    with pytest.raises(Refused, match="truss"):
+        CertifiedPlan(refused, certify(refused))
+    cases = cases_of(plan, ["position lost", "battery low"])
+    tests = run_failure_tests(certified, FailureTestSettings(cases, ["mixed"], 1, seed=3), jobs=1)
+    assert {test.case.name for test in tests if test.passed} == {"position lost", "battery low"}
 
 
 @pytest.mark.parametrize(
