@@ -107,7 +107,7 @@ def write_state(box: Box, motion: LossMotion, team: Team, doubts: Floats) -> boo
     later, until = min(moment, motion.end), min(moment + width, motion.end)
     piece, since, moving = find_piece(motion.times, later)
     pieces = pieces_between(motion.joints, later - width, until)
-    largest = 0.0
+    largest = widest = 0.0
     for i in range(len(spread)):
         evaluate_piece(motion.coefficients[piece], i, since, moving, team.scratch)
         for axis in range(3):
@@ -119,6 +119,8 @@ def write_state(box: Box, motion: LossMotion, team: Team, doubts: Floats) -> boo
         spread[i] = 0.5 * acceleration * width * width
         if moment + width > motion.end:
             spread[i] += 2.0 * _norm(slopes[0, i]) * width
+        if moment >= motion.end:
+            widest = max(widest, spread[i])
         if box.case in (0, i + 1):
             largest = max(largest, _coast(box, i, motion, team))
     if largest <= motion.tracking:
@@ -127,6 +129,9 @@ def write_state(box: Box, motion: LossMotion, team: Team, doubts: Floats) -> boo
     halves = box.half, box.coast_half, box.advance_half
     for coordinate in range(3):
         doubts[coordinate] = _apart(slopes[coordinate], team.scratch[0]) * halves[coordinate]
+    # Beyond the end of the motion its slopes there, 0, do not tell how wide the box is.
+    doubts[0] += widest * box.half / width
+    doubts[together] += widest * after_half / width
     return True
 
 
