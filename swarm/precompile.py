@@ -37,6 +37,11 @@ SEARCH = ("swarm.untangling", "swarm.knots.sticks")
 before the first one, not before every first plan (20 s of a processor), and not loaded for a
 flight."""
 
+OPTIMISATION = ("swarm.planner.team_terms",)
+"""What only an optimised fold calls, in the same way (5 s of a processor)."""
+
+_RARE = (*SEARCH, *OPTIMISATION)
+
 _PROCESSES = 4
 """Most processes that compile beside each other: the 33 s of a processor are then 9 s."""
 
@@ -63,12 +68,12 @@ def imported() -> list[str]:
 def load(modules: Iterable[str] | None = None) -> int:
     """Load or compile all declared functions of imported modules; return how many.
 
-    The default is all modules but those of ``SEARCH``, which no flight calls. After this and in
+    The default is all modules but those of ``_RARE``, which no flight calls. After this and in
     :func:`swarm.jit.sealed` no call waits for a compiler.
     """
     count = 0
     if modules is None:
-        modules = [name for name in imported() if not name.startswith(SEARCH)]
+        modules = [name for name in imported() if not name.startswith(_RARE)]
     for function in functions(modules):
         types = declared(function)
         if types is not None:
@@ -155,7 +160,7 @@ def _mark(package: str) -> Path | None:
 def _files(packages: Iterable[str]) -> dict[str, str]:
     """Return the files with compiled functions of packages, by the names of their modules.
 
-    Those of ``SEARCH`` and the monitor of a flight are found under their own names only.
+    Those of ``_RARE`` and the monitor of a flight are found under their own names only.
     """
     found: dict[str, str] = {}
     for package in packages:
@@ -170,7 +175,7 @@ def _files(packages: Iterable[str]) -> dict[str, str]:
             if b"@compiled" in path.read_bytes():
                 parts = path.relative_to(folder).with_suffix("").parts
                 name = ".".join((package, *parts))
-                if name not in {*SEARCH, _MONITOR}:
+                if name not in {*_RARE, _MONITOR}:
                     found[name] = str(path)
     return found
 

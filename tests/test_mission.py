@@ -66,7 +66,10 @@ def test_a_knot_name_with_an_underscore_is_a_word() -> None:
             "vehicles.max_speed=true",
             "m.yaml: vehicles.max_speed: expected a number > 0 and <= 100 in m/s, got True",
         ),
-        ("fold.method=magic", "m.yaml: fold.method: expected certified or paper, got 'magic'"),
+        (
+            "fold.method=magic",
+            "m.yaml: fold.method: expected certified, optimised or paper, got 'magic'",
+        ),
         ("clearance=3", "m.yaml: clearance: expected a mapping of keys, got 3"),
         ("schema=2", "m.yaml: schema: expected 1, got 2"),
         ("name=", "m.yaml: name: expected text, got None"),
@@ -121,7 +124,7 @@ def test_a_knot_name_with_an_underscore_is_a_word() -> None:
         ("radius=0.2", "m.yaml: radius: unknown key, got 0.2: did you mean vehicles.radius?"),
         (
             "fold.method=certifed",
-            "m.yaml: fold.method: expected certified or paper, got 'certifed': did you mean certified?",
+            "m.yaml: fold.method: expected certified, optimised or paper, got 'certifed': did you mean certified?",
         ),
         (
             "knot={dt: abc}",

@@ -19,10 +19,10 @@ from swarm.planning import Plan
 Floats = npt.NDArray[np.float64]
 Place = tuple[float, float, float]
 
-_JET_DECAY = 6.2
+JET_DECAY = 6.2
 """A round turbulent jet's axial speed is 6.2 of its diameter over the distance (Pope 2000, 5.1)."""
 
-_JET_WIDENING = 0.1
+JET_WIDENING = 0.1
 """Its half-width grows by this share of the distance (Pope 2000, 5.1), also below quadrotors
 (Bauersfeld et al. 2024, "Robotics meets Fluid Dynamics")."""
 
@@ -32,7 +32,7 @@ STEP = 0.1
 LEAST_SINKING = 0.01
 """Metres; a smaller sinking is not reported."""
 
-_DENOMINATOR = (2.0, 6.0, 4.0)
+SINKING_RESPONSE = (2.0, 6.0, 4.0)
 """Coefficients of the transfer function from a disturbing acceleration to the vertical error: with
 PX4's defaults MPC_Z_P 1, MPC_Z_VEL_P_ACC 4 and MPC_Z_VEL_I_ACC 2 it is s / (s³ + 4s² + 6s + 2)."""
 
@@ -74,7 +74,7 @@ def jet_speed(mission: Mission, below: Floats, aside: Floats) -> Floats:
     """
     radius = mission.vehicles.radius / math.sqrt(2.0)
     depth = np.maximum(below, 0.0)
-    decay = np.minimum(1.0, _JET_DECAY * 2.0 * radius / np.maximum(depth, 1e-9))
+    decay = np.minimum(1.0, JET_DECAY * 2.0 * radius / np.maximum(depth, 1e-9))
     width = jet_width(mission, depth)
     speed = 2.0 * induced_speed(mission) * decay * np.exp(-0.5 * (aside / width) ** 2)
     blown: Floats = np.where(below > 0.0, speed, 0.0)
@@ -83,7 +83,7 @@ def jet_speed(mission: Mission, below: Floats, aside: Floats) -> Floats:
 
 def jet_width(mission: Mission, below: Floats) -> Floats:
     """Return the radius (…,) of a vehicle's jet at ``below`` metres under its rotors."""
-    width: Floats = mission.vehicles.radius / math.sqrt(2.0) + _JET_WIDENING * below
+    width: Floats = mission.vehicles.radius / math.sqrt(2.0) + JET_WIDENING * below
     return width
 
 
@@ -116,8 +116,8 @@ def sinkings(plan: Plan, least: float) -> list[Sinking]:
 
     One for each vehicle and each time in which it is so low. Air that comes down through a rotor at
     speed w reduces its thrust by w / 2v at the same power, v the induced speed (Leishman 2006,
-    2.13, for a slow climb); here by at most half. The autopilot responds with _DENOMINATOR. Where
-    several jets meet, the largest speed counts.
+    2.13, for a slow climb); here by at most half. The autopilot responds with SINKING_RESPONSE.
+    Where several jets meet, the largest speed counts.
     """
     held = [phase for phase in plan.phases if phase.cable in {"lifting", "aloft"}]
     if not held or plan.vehicles < 2:
@@ -159,7 +159,7 @@ def _error(disturbance: Floats) -> Floats:
     """Vertical errors (k, n), metres, for accelerations (k, n) of a STEP each."""
     # States: 1, s and s² over the denominator, and the disturbance, constant for a step.
     rates = np.diag(np.ones(3), 1)
-    rates[2, :3] = -np.array(_DENOMINATOR)
+    rates[2, :3] = -np.array(SINKING_RESPONSE)
     held = scipy.linalg.expm(STEP * rates)[:3]
     state, error = np.zeros((3, disturbance.shape[1])), np.empty_like(disturbance)
     for k, now in enumerate(disturbance):

@@ -425,6 +425,19 @@ def short_moments(plan: Plan, swing: PairSwing) -> tuple[ShortBudget, ...]:
     return tuple(found)
 
 
+def needed_distances(plan: Plan, swing: PairSwing) -> Floats:
+    """Return the distances (r,) between surfaces at which the budget of close pairs closes, metres.
+
+    As :func:`short_moments` has it; the other effects of pairs that have no row there count as
+    nothing.
+    """
+    close, left = swing.close, swing.close.left - swing.approach
+    needed: Floats = close.available - left
+    for at, row in _rows(plan, swing, left):
+        needed[(close.pairs == close.pairs[at]).all(axis=1)] += left[at] - row.remaining
+    return needed
+
+
 def _rows(plan: Plan, swing: PairSwing, left: Floats) -> list[tuple[int, Budget]]:
     """Return the close pair of strands and the row, for each of the pairs with the least left."""
     chosen: dict[tuple[int, int], int] = {}

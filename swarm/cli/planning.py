@@ -17,7 +17,6 @@ from swarm.front.files import is_plan_file, load_mission
 from swarm.front.plan_files import load_certified
 from swarm.mission import Mission
 from swarm.mission.fleet import Fleet, mission_for
-from swarm.planning.searched_foldings import may_search
 from swarm.reports.plan import plan_verdict, print_plan_summary
 from swarm.reports.result import print_verdict
 
@@ -149,8 +148,7 @@ def plan_mission(
         precompile.prepare(precompile.PLANNING, progress)
         before = None if replan else plan_cache.find(mission, progress)
         if before is None:
-            if may_search(mission):
-                precompile.prepare(precompile.SEARCH, progress)
+            precompile.prepare(planner.compiled_for(mission), progress)
             with precompile.compiling(precompile.FLIGHT if flight else ()) as finish:
                 planned = planner.plan(mission, progress)
                 plan_cache.store(mission, planned)

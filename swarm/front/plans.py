@@ -21,7 +21,6 @@ from swarm.notebook import table
 from swarm.planning.archive import plan_file, read_plan_file
 from swarm.planning.cable_shape import cable_shape
 from swarm.planning.estimates import require_fleet
-from swarm.planning.searched_foldings import may_search
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -150,8 +149,7 @@ def plan(mission: Mission, *, fleet: Fleet | None = None, progress: Progress | N
         require_fleet(mission, fleet)
         mission = mission_for(mission, fleet)
     precompile.prepare(precompile.PLANNING, progress)
-    if may_search(mission):
-        precompile.prepare(precompile.SEARCH, progress)
+    precompile.prepare(planner.compiled_for(mission), progress)
     result = planner.plan(mission, progress, robustness=False)
     planned = Plan.of(result.plan)
     try:

@@ -17,12 +17,15 @@ from swarm.certification.certificate import (
     certify_robustness,
     with_recorded_robustness,
 )
-from swarm.certification.clearances import PlanChecks, Robustness
+from swarm.certification.clearances import PlanChecks, Robustness, certified
 from swarm.mission import Mission
 from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower
 from swarm.planner.repairs import Kept, Unfinished, least_short, repair, slowed_for_budget
+from swarm.planner.shortening import shortened
 from swarm.planning import Plan
 from swarm.planning.candidates import candidates
+from swarm.planning.searched_foldings import may_search
+from swarm.precompile import OPTIMISATION, SEARCH
 from swarm.threads import both
 
 Progress = Callable[[str, float], None]
@@ -74,11 +77,45 @@ def plan(
     Raises :class:`swarm.errors.Refused` where no motion exists to check.
     """
     with one_thread():
-        result = _cleared_or_first(mission, progress)
+        result = _with_shorter_fold(_cleared_or_first(mission, progress), progress)
         if robustness and result.certificate.cleared:
             certificate = certify_robustness(result.plan, result.certificate, progress)
             result = replace(result, certificate=certificate)
     return result
+
+
+def _with_shorter_fold(result: PlanningResult, progress: Progress | None) -> PlanningResult:
+    """Return a cleared plan with the shortest fold that one optimisation finds, where asked for.
+
+    It is cleared too, and no vehicle sinks in jets by more than its tracking radius. The plan stays
+    as it is where no such fold is shorter.
+    """
+    plan = result.plan
+    if plan.mission.fold.method != "optimised" or not result.certificate.cleared:
+        return result
+    found: list[PlanningResult] = [result]
+
+    def accepted(shorter: Plan) -> bool:
+        again = PlanningResult(shorter, certify(shorter))
+        tracking = plan.mission.vehicles.tracking
+        holds = again.certificate.cleared and certified(shorter, tracking=tracking)
+        if holds and _deepest_sinking(again) <= tracking:
+            found.append(again)
+        return found[-1] is again
+
+    shortened(plan, accepted, progress or (lambda _stage, _share: None))
+    best = min(found, key=lambda each: each.plan.flight_duration)
+    folds = (f"{each.plan.phase('fold').duration:.1f} s" for each in (result, best))
+    note = "shortened the fold from {} to {} by one optimisation".format(*folds)
+    noted = replace(best.plan, notes=(*best.plan.notes, note))
+    return replace(best, plan=noted)
+
+
+def compiled_for(mission: Mission) -> tuple[str, ...]:
+    """Return the packages that planning a mission may call, beside ``precompile.PLANNING``."""
+    searched = SEARCH if may_search(mission) else ()
+    optimised = OPTIMISATION if mission.fold.method == "optimised" else ()
+    return (*searched, *optimised)
 
 
 def certify_again(

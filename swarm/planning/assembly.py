@@ -132,7 +132,7 @@ def _flight(mission: Mission, layout: KnotLayout, fold: Motion) -> PhaseSequence
     Layouts without a grid, and long segments, contract beyond the line; the paper's do not.
     """
     long = layout.cell == 0.0 or bool(layout.lengths.max() >= _LONG)
-    relaxed = mission.fold.method == "certified" and long
+    relaxed = mission.fold.method != "paper" and long
     return flight_around_fold(mission, layout.lengths, fold, relaxed=relaxed)
 
 

@@ -1,0 +1,709 @@
+"""The fold of a team as one problem: all vehicles' motions over time, with one cost for all limits.
+
+Every vehicle moves along a quintic B-spline with evenly spaced knots, which rests at both ends. The
+last place is its corner of the folded knot; the first one is on a level line, whose place, height
+and heading are free. So are the other control points, and the duration.
+
+The cost is a sum of barriers (:mod:`.team_terms`) at evenly spaced moments: of all distances that
+must be kept, of speeds and accelerations, and of the swing of every strand. A strand swings as two
+modes: the first is driven by the mean of its ends' acceleration and drag, the second by half of
+their difference. Their size is corrected by strays of the strand's lumped masses.
+
+What is measured at a motion is frozen while it is improved: needs by tracking errors, frequencies
+and damping of the swing, and its correction (:class:`Frozen`).
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import permutations
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from swarm.certification.air import JET_DECAY, JET_WIDENING, SINKING_RESPONSE
+from swarm.geometry.catenary import STANDARD_GRAVITY
+from swarm.geometry.lumped_mass import AIR_DENSITY, NORMAL_DRAG
+from swarm.planner.team_terms import (
+    RANGE,
+    Derivatives,
+    Found,
+    Memory,
+    Needs,
+    Poses,
+    Splines,
+    Team,
+    add_clearances,
+    gather,
+    oscillate,
+    respond,
+    scatter,
+)
+from swarm.threads import side_by_side
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
+
+DEGREE = 5
+"""Degree of the splines: their jerk is continuous, as the swing's oscillators need it."""
+
+RESTING = 3
+"""Control points at each end that are one place: velocity and acceleration are 0 there."""
+
+_PER_KNOT = 5
+"""Moments between two knots."""
+
+_PIECES = 12
+"""Pieces of a strand, of which all pairs are compared."""
+
+_SETTLING = 4.0
+"""Seconds after the fold in which its swing counts."""
+
+_PENDULUM = 0.8
+"""The first lateral mode swings as a pendulum of this share of the sag (Irvine 1981)."""
+
+_SECOND = 3.5
+"""Square of the second mode's frequency over the first one's, of a strand that hangs by a third."""
+
+_STEP_RESPONSE = 1.25
+"""Movement of a strand's middle over that of its mean, in the first lateral mode: 4/π."""
+
+_SMOOTH_PLACE, _SMOOTH_JERK = 1e-3, 1e-3
+"""Weights of the squares of speed and of jerk over the fold, by which the cost has one minimum."""
+
+LOSS_EVERY, _LOSS_RANGE, _LOSS_WEIGHT = 3, 0.3, 0.2
+"""Every so many moments a loss of setpoints; metres of slack at which its barriers end, and their
+weight: there are as many poses as vehicles, twice."""
+
+_LEAST_LOST, _LEAST_SUNK = 0.01, 0.02
+"""Acceleration, m/s², that is lost in a jet at least, and share of the limit by which a vehicle
+sinks, for a pair to count."""
+
+_STRETCH = 1e-5
+"""Relative change of the duration for the swing's derivative by it."""
+
+
+class Basis(NamedTuple):
+    """Splines at s moments: ``values`` (derivatives, s, k), the six that are not 0 there
+    (derivatives, s, 6), and the number (s,) of the first of them."""
+
+    values: Floats
+    local: Floats
+    first: Ints
+
+
+def basis(count: int, shares: Floats) -> Basis:
+    """Return ``count`` clamped quintic B-splines on 0…1, with derivatives, at ``shares`` (s,)."""
+    inner = np.linspace(0.0, 1.0, count - DEGREE + 1)
+    knots = np.concatenate([np.zeros(DEGREE), inner, np.ones(DEGREE)])
+    spline = scipy.interpolate.BSpline(knots, np.eye(count), DEGREE)
+    inside = np.clip(shares, 0.0, 1.0 - 1e-12)
+    values = np.stack([spline.derivative(d)(inside) if d else spline(inside) for d in range(4)])
+    first = np.minimum((inside * (count - DEGREE)).astype(np.intp), count - DEGREE - 1)
+    places = np.broadcast_to(first[:, None] + np.arange(DEGREE + 1), (4, len(shares), DEGREE + 1))
+    return Basis(values, np.take_along_axis(values, places, axis=2), first)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Largest speed, m/s, acceleration, m/s², swing as planned and sinking in jets, metres."""
+
+    speed: float
+    acceleration: float
+    swing: float
+    sinking: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """A motion: ``free`` control points (k − 6, n, 3), the line's x, y, z and heading, seconds."""
+
+    free: Floats
+    pose: Floats
+    duration: float
+
+
+@dataclass(frozen=True, eq=False)
+class Coasting:
+    """How far vehicles move on without setpoints: seconds (n,) at their velocity, and mission
+    seconds (l,) by which the others advance until they stand, after losses at l moments; at least
+    until the ``silence`` is detected. ``needs`` (l rows) are those after the losses."""
+
+    lost: Floats
+    others: Floats
+    silence: float
+    needs: Needs
+
+
+@dataclass(frozen=True, eq=False)
+class Frozen:
+    """What is measured at a motion: needs, and for s moments and m strands the squared frequency
+    of the first mode, its damping, and the factor of its size (s, m); without ``coasting`` no
+    losses of setpoints count."""
+
+    needs: Needs
+    squares: Floats
+    damping: Floats
+    gains: Floats
+    coasting: Coasting | None
+
+
+@dataclass(eq=False)
+class Slopes:
+    """Derivatives of the cost by all control points, and by the logarithm of the duration.
+
+    ``gradient`` (k, 3n) and Gauss-Newton ``matrix`` (k·3n, k·3n) of the control points;
+    ``by_duration``, its derivative ``mixed`` (k, 3n) by them, and ``twice`` by the same again.
+    """
+
+    gradient: Floats
+    matrix: Floats
+    by_duration: float
+    mixed: Floats
+    twice: float
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The cost of a motion, and what it shows.
+
+    Largest ``speed``, ``acceleration``, ``swing`` and ``sinking`` are in m/s, m/s² and metres;
+    ``missed`` and ``missed_after_losses`` the largest missed needs; ``swings`` (t, m) those of the
+    oscillators.
+    """
+
+    cost: float
+    found: Found
+    missed_after_losses: float
+    speed: float
+    acceleration: float
+    swing: float
+    swings: Floats
+    sinking: float
+
+    @property
+    def missed(self) -> float:
+        """The largest missed need, metres."""
+        return float(self.found.missed.max())
+
+
+class _Moved(NamedTuple):
+    """Poses of a team, the splines that move them, and their derivatives (s, n, 3) by the
+    logarithm of the duration."""
+
+    poses: Poses
+    splines: Splines
+    longer: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What a fold is: its team, limits, the ``folded`` corners (n, 3), and the line.
+
+    ``along`` (n,) are the places of vehicles on the line from its middle, metres; ``count`` control
+    points move each vehicle. ``after`` is the team after losses of setpoints, when all were
+    exactly on the plan. ``drag`` is that of the cable, 1/m: acceleration by squared speed; ``jet``
+    the radius of a vehicle's jet, metres.
+    """
+
+    team: Team
+    after: Team
+    limits: Limits
+    folded: Floats
+    along: Floats
+    count: int
+    drag: float
+    jet: float
+
+    @cached_property
+    def moments(self) -> int:
+        """Number of moments at which the cost is summed."""
+        return _PER_KNOT * (self.count - DEGREE) + 1
+
+    @cached_property
+    def shares(self) -> Floats:
+        """Shares (s,) of the duration at these moments."""
+        return np.linspace(0.0, 1.0, self.moments)
+
+    @cached_property
+    def basis(self) -> Basis:
+        """The splines at these moments."""
+        return basis(self.count, self.shares)
+
+    @cached_property
+    def roughness(self) -> tuple[Floats, Floats]:
+        """Matrices (k, k) of the mean squares of a spline's first and third derivative."""
+        weight = np.full(self.moments, 1.0 / (self.moments - 1))
+        weight[[0, -1]] *= 0.5
+        first, third = self.basis.values[1], self.basis.values[3]
+        return first.T @ (weight[:, None] * first), third.T @ (weight[:, None] * third)
+
+    def line(self, pose: Floats) -> Floats:
+        """Return the vehicles (n, 3) on the line."""
+        x, y, z, heading = pose
+        level = np.full(len(self.along), z)
+        return np.stack(
+            [x + self.along * math.cos(heading), y + self.along * math.sin(heading), level], axis=1
+        )
+
+    def by_pose(self, pose: Floats) -> Floats:
+        """Return the derivative (k·3n, 4) of all control points by the pose of the line."""
+        found = np.zeros((len(self.along), 3, 4))
+        found[:, [0, 1, 2], [0, 1, 2]] = 1.0
+        found[:, 0, 3] = -self.along * math.sin(pose[3])
+        found[:, 1, 3] = self.along * math.cos(pose[3])
+        return (self.following[:, None, None] * found.reshape(-1, 4)).reshape(-1, 4)
+
+    @cached_property
+    def following(self) -> Floats:
+        """Shares (k,) of the line's movement by which control points follow it.
+
+        From 1 at the beginning to 0 at the end: were only the first places moved, a turned line
+        would need an acceleration of its vehicles that no derivative shows.
+        """
+        inner = np.linspace(0.0, math.pi, self.count - 2 * RESTING + 2)[1:-1]
+        return np.concatenate([np.ones(RESTING), 0.5 * (1.0 + np.cos(inner)), np.zeros(RESTING)])
+
+    def control(self, fold: Fold) -> Floats:
+        """Return all control points (k, n, 3)."""
+        found = self.following[:, None, None] * self.line(fold.pose)
+        found[-RESTING:] = self.folded
+        found[RESTING:-RESTING] += fold.free
+        return found
+
+    def states(self, fold: Fold, shares: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return position, velocity and acceleration (s, n, 3) at shares (s,) of the duration."""
+        return self._states(self.control(fold), basis(self.count, shares), fold.duration)
+
+    def _states(self, control: Floats, at: Basis, duration: float) -> tuple[Floats, Floats, Floats]:
+        flat = control.reshape(self.count, -1)
+        shape = len(at.first), *self.folded.shape
+        place, first, second = (
+            np.ascontiguousarray((at.values[d] @ flat).reshape(shape)) for d in range(3)
+        )
+        return place, first / duration, second / duration**2
+
+    def fitted(self, places: Floats, pose: Floats, duration: float) -> Fold:
+        """Return the motion closest to ``places`` (s, n, 3), evenly spaced in time."""
+        empty = Fold(np.zeros((self.count - 2 * RESTING, *self.folded.shape)), pose, duration)
+        values = basis(self.count, np.linspace(0.0, 1.0, len(places))).values[0]
+        rest = places - np.einsum("sk,knx->snx", values, self.control(empty))
+        inner = values[:, RESTING:-RESTING]
+        normal = inner.T @ inner + 1e-6 * np.eye(inner.shape[1])
+        free = np.linalg.solve(normal, inner.T @ rest.reshape(len(places), -1))
+        return replace(empty, free=free.reshape(empty.free.shape))
+
+    def derived(self, fold: Fold, frozen: Frozen) -> tuple[Evaluation, Slopes]:
+        """Return the cost of a motion, and its derivatives."""
+        n = len(self.folded)
+        size = self.count * 3 * n
+        slopes = Slopes(
+            np.zeros((self.count, 3 * n)), np.zeros((size, size)), 0.0,
+            np.zeros((self.count, 3 * n)), 0.0,
+        )  # fmt: skip
+        return self.evaluate(fold, frozen, slopes), slopes
+
+    def evaluate(self, fold: Fold, frozen: Frozen, slopes: Slopes | None = None) -> Evaluation:
+        """Return the cost of a motion; add its derivatives to ``slopes``."""
+        control = self.control(fold)
+        place, velocity, acceleration = self._states(control, self.basis, fold.duration)
+        distances, found = self._clearances(self._planned(place), self.team, frozen.needs, slopes)
+        losses, missed = 0.0, 0.0
+        if frozen.coasting is not None:
+            for moved in self._lost(control, place, velocity, fold.duration, frozen.coasting):
+                cost, after = self._clearances(moved, self.after, frozen.coasting.needs, slopes)
+                losses += cost
+                missed = max(missed, float(after.missed.max()))
+        motion = sum(
+            self._bounded(order, state, limit, fold.duration, slopes)
+            for order, state, limit in (
+                (1, velocity, self.limits.speed),
+                (2, acceleration, self.limits.acceleration),
+            )
+        )
+        swung, swings = self._swing(velocity, acceleration, fold.duration, frozen, slopes)
+        sunk, sinking = self._sinking(place, fold.duration, slopes)
+        smooth = self._smoothness(control.reshape(self.count, -1), fold.duration, slopes)
+        cost = float(distances + losses + motion + swung + sunk + smooth)
+        return Evaluation(
+            cost=cost,
+            found=found,
+            missed_after_losses=missed,
+            speed=float(np.linalg.norm(velocity, axis=2).max()),
+            acceleration=float(np.linalg.norm(acceleration, axis=2).max()),
+            swing=float(swings.max()),
+            swings=swings,
+            sinking=sinking,
+        )
+
+    def shown_by(self, places: Floats, needs: Needs) -> Found:
+        """Return what poses (s, n, 3) show with their needs; at most as many as the moments."""
+        planned = self._planned(places)
+        return self._clearances(planned, self.team, needs, None)[1]
+
+    def _planned(self, place: Floats) -> _Moved:
+        """Return the poses of the motion itself."""
+        s, n, _ = place.shape
+        at = self.basis
+        splines = Splines(
+            np.ascontiguousarray(np.broadcast_to(at.local[0][:s, None], (s, n, DEGREE + 1))),
+            np.ascontiguousarray(np.broadcast_to(at.first[:s, None], (s, n))),
+        )
+        poses = Poses(place, np.arange(s), np.full(s, -1), RANGE, 1.0)
+        return _Moved(poses, splines, np.zeros_like(place))
+
+    def _lost(
+        self, control: Floats, place: Floats, velocity: Floats, duration: float, coasting: Coasting
+    ) -> Iterator[_Moved]:
+        """Yield the poses after losses of setpoints, of all vehicles and of each one.
+
+        When they have moved half of what they do, and all; the others advance meanwhile as little
+        and as far as they may.
+        """
+        n, at = len(self.folded), self.basis
+        some = slice(0, None, LOSS_EVERY)
+        count = len(self.shares[some])
+        for share, most in ((0.5, False), (0.5, True), (1.0, False), (1.0, True)):
+            seconds = share * coasting.lost
+            lost = place[some] + seconds[:, None] * velocity[some]
+            lost_shares = (
+                at.local[0][some, None] + (seconds / duration)[:, None] * at.local[1][some, None]
+            )
+            lost_longer = -seconds[:, None] * velocity[some]
+            least = min(coasting.silence, float(coasting.lost.min()))
+            advance = share * (coasting.others if most else np.full(count, least))
+            ahead = self.shares[some] + advance / duration
+            there = basis(self.count, ahead)
+            team, moving, _ = self._states(control, there, duration)
+            inside = (ahead < 1.0)[:, None, None]
+            team_longer = -advance[:, None, None] * inside * moving
+            team_shares = np.broadcast_to(there.local[0][:, None], lost_shares.shape)
+            first = np.broadcast_to(at.first[some, None], (count, n))
+            team_first = np.broadcast_to(there.first[:, None], (count, n))
+            for who in range(0 if most else -1, n):
+                alone = np.arange(n) == who if who >= 0 else np.ones(n, dtype=np.bool_)
+                wide = alone[:, None]
+                yield _Moved(
+                    Poses(
+                        np.where(wide, lost, team), np.arange(count),
+                        np.full(count, who), _LOSS_RANGE, _LOSS_WEIGHT,
+                    ),
+                    Splines(
+                        np.where(wide, lost_shares, team_shares), np.where(alone, first, team_first)
+                    ),
+                    np.where(wide, lost_longer, team_longer),
+                )  # fmt: skip
+
+    def _clearances(
+        self, moved: _Moved, team: Team, needs: Needs, slopes: Slopes | None
+    ) -> tuple[float, Found]:
+        """Return the cost of all clearances of poses, and what they show; add the derivatives."""
+        s, n, _ = moved.poses.places.shape
+        m, derive = n - 1, slopes is not None
+        rows = len(needs.floor)
+        found = Found(
+            np.zeros((rows, m, m)), np.zeros((rows, n, m)), np.zeros((rows, m)),
+            np.zeros((rows, m, m)), np.zeros((rows, m)), np.zeros(rows),
+        )  # fmt: skip
+        memory = Memory(
+            np.empty((m, _PIECES + 1, 3)), np.empty((m, _PIECES + 1, 5)), np.empty((m, 6))
+        )
+        blocks = np.zeros((s if derive else 1, 3 * n, 3 * n))
+        derivatives = Derivatives(np.zeros((s, 3 * n)), blocks, np.empty((4, 3)))
+        cost = add_clearances(moved.poses, team, needs, found, memory, derivatives, derive)
+        if slopes is not None:
+            longer = moved.longer.reshape(s, -1)
+            gather(moved.splines, derivatives.gradient, slopes.gradient)
+            scatter(moved.splines, 1.0, blocks, slopes.matrix)
+            if longer.any():
+                pushed = np.einsum("sxy,sy->sx", blocks, longer)
+                slopes.by_duration += float((derivatives.gradient * longer).sum())
+                gather(moved.splines, pushed, slopes.mixed)
+                slopes.twice += float((pushed * longer).sum())
+        return cost, found
+
+    def _bounded(
+        self, order: int, state: Floats, limit: float, duration: float, slopes: Slopes | None
+    ) -> float:
+        """Return the cost of a derivative of the motion and its limit; add its own derivatives."""
+        s, n, _ = state.shape
+        slack = 1.0 - (state**2).sum(axis=2) / limit**2
+        value, slope, curvature = logarithmic(slack)
+        if slopes is None:
+            return float(value.sum())
+        by = -2.0 / limit**2 * state
+        scale = duration**-order
+        values = self.basis.values[order]
+        slopes.gradient += scale * (values.T @ (slope[..., None] * by).reshape(s, -1))
+        # velocities shrink with the duration, accelerations with its square
+        longer = 2.0 * order * (1.0 - slack)
+        slopes.by_duration += float((slope * longer).sum())
+        crossed = curvature * longer - 2.0 * order * slope
+        slopes.mixed += scale * (values.T @ (crossed[..., None] * by).reshape(s, -1))
+        slopes.twice += float((curvature * longer**2 - 2.0 * order * slope * longer).sum())
+        blocks = np.zeros((s, n, 3, n, 3))
+        each = np.arange(n)
+        blocks[:, each, :, each, :] = (
+            curvature[..., None, None] * by[..., :, None] * by[..., None, :]
+            - (2.0 / limit**2 * slope)[..., None, None] * np.eye(3)
+        ).transpose(1, 0, 2, 3)
+        at = self.basis
+        splines = Splines(
+            np.ascontiguousarray(np.broadcast_to(at.local[order][:, None], (s, n, DEGREE + 1))),
+            np.ascontiguousarray(np.broadcast_to(at.first[:, None], (s, n))),
+        )
+        scatter(splines, scale**2, blocks.reshape(s, 3 * n, 3 * n), slopes.matrix)
+        return float(value.sum())
+
+    def _swing(
+        self, velocity: Floats, acceleration: Floats, duration: float, frozen: Frozen,
+        slopes: Slopes | None,
+    ) -> tuple[float, Floats]:  # fmt: skip
+        """Return the cost of all strands' swing, and the swings (t, m); add the derivatives."""
+        s, n, _ = velocity.shape
+        after = math.ceil(_SETTLING / (duration / (s - 1)))
+        swings = np.empty((s + after, n - 1))
+
+        def strand(i: int) -> tuple[float, Floats, Floats]:
+            swung = self._strand_swing(i, velocity, acceleration, duration, frozen, after)
+            swings[:, i] = np.linalg.norm(swung.moved, axis=1)
+            by = None
+            if slopes is not None:
+                by = np.concatenate([m.by_ends(self, duration) for m in swung.modes], axis=1)
+            return below(swung.moved, self.limits.swing, by, swung.longer)
+
+        total = 0.0
+        for i, (value, by, square) in enumerate(side_by_side(strand, range(n - 1))):
+            total += value
+            if slopes is not None:
+                self._add(slopes, by, square, [(i, 1.0), (i + 1, 1.0)], apart=True)
+        return total, swings
+
+    def _add(
+        self, slopes: Slopes, by: Floats, square: Floats, vehicles: Sequence[tuple[int, float]],
+        *, apart: bool,
+    ) -> None:  # fmt: skip
+        """Add the gradient (u·k·3 + 1,) and matrix of a cost by control points and duration.
+
+        ``apart``: the unknowns are those of each vehicle; otherwise the sum of all, each with its
+        sign.
+        """
+        count, n = self.count, len(self.folded)
+        units = len(vehicles) if apart else 1
+        size = units * count * 3
+        ends, crossed = by[:size].reshape(units, count, 3), square[size, :size]
+        crossed = crossed.reshape(units, count, 3)
+        squared = square[:size, :size].reshape(units, count, 3, units, count, 3)
+        gradient, mixed = (each.reshape(count, n, 3) for each in (slopes.gradient, slopes.mixed))
+        whole = slopes.matrix.reshape(count, n, 3, count, n, 3)
+        slopes.by_duration += by[size]
+        slopes.twice += square[size, size]
+        for a, (i, sign) in enumerate(vehicles):
+            u = a if apart else 0
+            gradient[:, i] += sign * ends[u]
+            mixed[:, i] += sign * crossed[u]
+            for b, (j, other) in enumerate(vehicles):
+                whole[:, i, :, :, j, :] += sign * other * squared[u, :, :, b if apart else 0]
+
+    def _strand_swing(
+        self, i: int, velocity: Floats, acceleration: Floats, duration: float, frozen: Frozen,
+        after: int,
+    ) -> "StrandSwing":  # fmt: skip
+        s = len(velocity)
+        step = duration / (s - 1)
+        held = np.concatenate([np.arange(s), np.full(after, s - 1)])
+        gain, square, damping = (
+            np.ascontiguousarray(each[held, i])
+            for each in (frozen.gains, frozen.squares, frozen.damping)
+        )
+        modes_, moved, longer = [], [], []
+        for sign, axes, squares in ((1.0, 2, square), (-1.0, 3, _SECOND * square)):
+            speed = 0.5 * (velocity[:, i + 1] + sign * velocity[:, i])
+            pushed = 0.5 * (acceleration[:, i + 1] + sign * acceleration[:, i])
+            size = np.linalg.norm(speed, axis=1) + 1e-9
+            force = np.zeros((len(held), axes))
+            force[:s] = _STEP_RESPONSE * (pushed + self.drag * size[:, None] * speed)[:, :axes]
+            mode = Mode(sign, axes, squares, speed, size, gain, damping, step)
+            modes_.append(mode)
+            moved.append(mode.swung(force))
+            # A longer duration makes forces smaller by its square, and steps longer.
+            stretched = replace(mode, step=step * (1.0 + _STRETCH))
+            later = stretched.swung(force / (1.0 + _STRETCH) ** 2)
+            longer.append((later - moved[-1]) / _STRETCH)
+        return StrandSwing(
+            tuple(modes_), np.concatenate(moved, axis=1), np.concatenate(longer, axis=1)
+        )
+
+    def _sinking(
+        self, place: Floats, duration: float, slopes: Slopes | None
+    ) -> tuple[float, float]:
+        """Return the cost of sinking in jets, and the largest one, metres; add the derivatives.
+
+        As :func:`swarm.certification.air.sinkings`, for each pair of vehicles alone.
+        """
+        s, n, _ = place.shape
+        step, total, most = duration / (s - 1), 0.0, 0.0
+        held, stretched = sinking_step(step), sinking_step(step * (1.0 + _STRETCH))
+        for above, below_ in permutations(range(n), 2):
+            lost, by_place = self._lost_lift(place[:, above] - place[:, below_])
+            if lost.max() < _LEAST_LOST:
+                continue
+            depth = responded(held, lost[:, None])
+            most = max(most, float(depth.max()))
+            sunk = np.maximum(depth, 0.0)
+            if sunk.max() < _LEAST_SUNK * self.limits.sinking:
+                continue
+            by = None
+            if slopes is not None:
+                force = by_place[:, None, :] * self.basis.values[0][:, :, None]
+                by = responded(held, force.reshape(s, -1))[:, None] * (depth > 0.0)[..., None]
+            longer = (responded(stretched, lost[:, None]) - depth) / _STRETCH * (depth > 0.0)
+            value, gradient, square = below(sunk, self.limits.sinking, by, longer)
+            total += value
+            if slopes is not None:
+                self._add(slopes, gradient, square, [(above, 1.0), (below_, -1.0)], apart=False)
+        return total, most
+
+    def _lost_lift(self, apart: Floats) -> tuple[Floats, Floats]:
+        """Return the acceleration (s,) that a vehicle loses in a jet, and its derivative (s, 3) by
+        the place ``apart`` (s, 3) of the other one from it."""
+        depth = np.maximum(apart[:, 2], 1e-3)
+        width = self.jet + JET_WIDENING * depth
+        decay = JET_DECAY * 2.0 * self.jet / depth
+        aside = (apart[:, :2] ** 2).sum(axis=1)
+        lost = STANDARD_GRAVITY * np.minimum(decay, 1.0) * np.exp(-0.5 * aside / width**2)
+        lost = np.where(apart[:, 2] > 0.0, lost, 0.0)
+        by = np.empty_like(apart)
+        by[:, :2] = -(lost / width**2)[:, None] * apart[:, :2]
+        by[:, 2] = lost * (
+            aside * JET_WIDENING / width**3 - np.where(decay < 1.0, 1.0 / depth, 0.0)
+        )
+        return lost, by
+
+    def _smoothness(self, flat: Floats, duration: float, slopes: Slopes | None) -> float:
+        """Return the cost of the mean squares of speed and jerk; add its derivatives."""
+        cost = 0.0
+        for weight, rough, power in zip(
+            (_SMOOTH_PLACE, _SMOOTH_JERK), self.roughness, (1, 5), strict=True
+        ):
+            scaled = weight / duration**power * rough
+            pushed = scaled @ flat
+            cost += 0.5 * float((flat * pushed).sum())
+            if slopes is not None:
+                slopes.gradient += pushed
+                size = flat.shape[1]
+                whole = slopes.matrix.reshape(self.count, size, self.count, size)
+                each = np.arange(size)
+                whole[:, each, :, each] += scaled
+        return cost
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """A mode of a strand: driven by the mean (``sign`` 1) or half the difference of its ends.
+
+    Along ``axes``; with squared frequencies, size factors and damping (t,), the ends' ``speed``
+    (s, 3) and its ``size`` (s,), and ``step`` seconds between moments.
+    """
+
+    sign: float
+    axes: int
+    squares: Floats
+    speed: Floats
+    size: Floats
+    gain: Floats
+    damping: Floats
+    step: float
+
+    def swung(self, force: Floats) -> Floats:
+        """Return the swing (t, k) by columns of force (t, k)."""
+        moved = np.empty((len(force) + 2, force.shape[1]))
+        oscillate(np.ascontiguousarray(force), self.squares, self.damping, self.step, moved)
+        swung: Floats = moved[:-2] * self.gain[:, None]
+        return swung
+
+    def by_ends(self, problem: Problem, duration: float) -> Floats:
+        """Return the derivative (t, axes, 2·k·3) of its swing by control points of both ends."""
+        t, s, count = len(self.squares), len(self.speed), problem.count
+        first = problem.basis.values[1] / duration
+        second = problem.basis.values[2] / duration**2
+        force = np.zeros((t, self.axes, count, 3))
+        for x in range(self.axes):
+            force[:s, x, :, x] += second + problem.drag * self.size[:, None] * first
+            for y in range(3):
+                along = problem.drag * self.speed[:, x] * self.speed[:, y] / self.size
+                force[:s, x, :, y] += along[:, None] * first
+        moved = 0.5 * self.swung(_STEP_RESPONSE * force.reshape(t, -1)).reshape(t, self.axes, -1)
+        return np.concatenate([self.sign * moved, moved], axis=2)
+
+
+class StrandSwing(NamedTuple):
+    """The swing of a strand in both modes (t, 5), and its derivative by the logarithm of the
+    duration (t, 5)."""
+
+    modes: tuple[Mode, ...]
+    moved: Floats
+    longer: Floats
+
+
+def below(
+    moved: Floats, limit: float, by: Floats | None, longer: Floats
+) -> tuple[float, Floats, Floats]:
+    """Return the cost of vectors (t, c) that stay shorter than a limit, with its derivatives.
+
+    The barrier is that of 1 − (size / limit)². ``by`` (t, c, u) are their derivatives by the
+    unknowns, and ``longer`` (t, c) that by the logarithm of the duration, which comes last in the
+    gradient (u + 1,) and the Gauss-Newton matrix; both are empty without ``by``.
+    """
+    value, slope, curvature = logarithmic(1.0 - (moved**2).sum(axis=1) / limit**2)
+    if by is None:
+        return float(value.sum()), np.empty(0), np.empty((0, 0))
+    by = np.concatenate([by, longer[:, :, None]], axis=2)
+    of_slack = -2.0 / limit**2 * np.einsum("tc,tcu->tu", moved, by)
+    scaled = np.sqrt(2.0 / limit**2 * -slope)
+    rows = np.concatenate(
+        [
+            of_slack * np.sqrt(curvature)[:, None],
+            (by * scaled[:, None, None]).reshape(-1, by.shape[2]),
+        ]
+    )
+    return float(value.sum()), of_slack.T @ slope, rows.T @ rows
+
+
+def sinking_step(step: float) -> Floats:
+    """Return the matrix (3, 4) that advances a sinking vehicle's state by ``step`` seconds."""
+    rates = np.diag(np.ones(3), 1)
+    rates[2, :3] = -np.array(SINKING_RESPONSE)
+    held: Floats = scipy.linalg.expm(step * rates)[:3]
+    return held
+
+
+def responded(held: Floats, lost: Floats) -> Floats:
+    """Return how far (t, k) a vehicle sinks that loses accelerations (t, k)."""
+    depth = np.empty((len(lost) + 3, lost.shape[1]))
+    respond(np.ascontiguousarray(held), np.ascontiguousarray(lost), depth)
+    return depth[:-3]
+
+
+def logarithmic(slack: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return value, slope and curvature of −log(slack), continued as a parabola below 0.005."""
+    relaxed = 0.005
+    held, below = np.maximum(slack, relaxed), np.minimum(slack - relaxed, 0.0)
+    curvature = 1.0 / held**2
+    slope = -1.0 / held + curvature * below
+    value = -np.log(held) - below / held + 0.5 * curvature * below**2
+    return value, slope, curvature
+
+
+def modes(sags: Floats) -> tuple[Floats, Floats]:
+    """Return squared frequency and damping of the first mode of strands with sags, metres."""
+    squares = STANDARD_GRAVITY / (_PENDULUM * np.maximum(sags, 0.25))
+    return squares, 0.06 * np.sqrt(squares) + 0.3
+
+
+def cable_drag(mass_per_length: float, diameter: float) -> float:
+    """Return the drag of cable across the air over its mass and squared speed, 1/m."""
+    return 0.5 * AIR_DENSITY * NORMAL_DRAG * diameter / mass_per_length

@@ -1,0 +1,457 @@
+"""Shorten the fold of a plan: one optimisation of all motions, the line's pose and the duration.
+
+An interior-point method. The cost of the problem (:mod:`.fold_problem`) and a weight times the
+logarithm of the duration are minimised by damped Newton steps, with the matrix of Gauss and Newton;
+the weight grows while steps succeed, so that the motion follows the path of centres between all
+limits towards a shortest one. After every step, what a motion shows is measured again: needs by
+tracking errors and frequencies of the swing, and after every other one the swing's correction by
+lumped masses and how far vehicles move on without setpoints.
+
+The certificate judges the result. Where it finds less than is needed, for the clearance budget or
+after lost setpoints, needs grow there, and another round of steps begins where the last one ended.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from swarm.certification.air import jet_width
+from swarm.certification.budget import needed_distances
+from swarm.certification.cable_spans import exempt_length
+from swarm.certification.clearances import PlanChecks
+from swarm.certification.stream_loss import StreamLossBound, StreamLossModel
+from swarm.certification.swing_runs import strands_of
+from swarm.geometry.catenary import MAX_CHORD_RATIO
+from swarm.geometry.lumped_mass import Strands
+from swarm.geometry.motion import Motion, through_states
+from swarm.planner.fold_problem import (
+    LOSS_EVERY,
+    RESTING,
+    Coasting,
+    Evaluation,
+    Fold,
+    Frozen,
+    Limits,
+    Problem,
+    Slopes,
+    cable_drag,
+    modes,
+)
+from swarm.planner.pacing import swing_limit
+from swarm.planner.team_terms import Needs, Team
+from swarm.planning import Plan
+from swarm.planning.assembly import fold_of, with_fold
+from swarm.planning.phase_motion import usable_acceleration
+from swarm.planning.plan import Phase
+from swarm.planning.shaping import largest_stray
+
+Floats = npt.NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+_SAMPLE = 0.05
+"""Seconds between the states of a fold."""
+
+_CONTROL_POINTS, _POINTS_PER_SECOND = 40, 0.55
+"""Control points of each vehicle at least, and for a second of the fold to be shortened: a fold of
+a third of its duration has one in 0.6 s, a quarter of the period of a strand of 2.5 m."""
+
+_WITHIN = 0.99
+"""Share of each limit of motion that is used: quintics between the states exceed it by less."""
+
+_ROOM, _ROOM_AFTER_LOSS, _MORE_AFTER_LOSS = 0.02, 0.05, 0.05
+"""Metres beyond needs: for moments between the sampled ones, for polygons in place of strands, and
+for a tracking error or a wind that are a little larger than asked for;
+after lost setpoints, and in every further round where the certificate's bound needs more."""
+
+_KEPT_AT_REST, _LEAST_AT_REST = 0.015, 0.3
+"""Metres by which a need is less than what the folded knot keeps, where that is less than it, and
+the least of such needs."""
+
+_AROUND = 0.75
+"""Seconds around a moment for which what the certificate finds there counts: its intervals are half
+a second long, and a stop reaches farther."""
+
+_FIRST_WEIGHT, _LATER_WEIGHT, _LAST_WEIGHT, _GROWTH = 600.0, 1500.0, 3000.0, 1.2
+"""Weight of the duration at first, in later rounds and at last, and its growth in a step: with
+3,000, a hundred limits that hold the duration keep a thirtieth of their range."""
+
+_BRIEF, _WHOLE, _NEAR_CENTRE, _FAR_FROM_CENTRE = 0.1, 0.3, 60.0, 200.0
+"""Shares of a step from which on the weight grows, where the decrement is up to these."""
+
+_MOST_STEPS, _CONVERGED = 80, 2.0
+"""Largest number of steps of a round, and the decrement at which a whole step ends it."""
+
+_HALVINGS, _DAMPINGS = 9, 6
+"""Largest numbers of shorter and of more damped steps that are tried."""
+
+_LARGEST_MOVE, _LARGEST_TURN, _LARGEST_CHANGE = 2.0, 0.3, 0.15
+"""Metres by which a step moves a control point or the line, radians by which it turns the line, and
+logarithm by which it changes the duration, at most."""
+
+_MEASURED_EVERY, _TOWARDS = 2, 0.5
+"""Steps between measurements by lumped masses; share of a change of what is measured that counts,
+so that needs and motion do not chase each other."""
+
+_OVERSHOT = 1.15
+"""Measured swing over its limit up to which the weight grows."""
+
+_PERIOD, _LEAST_SWING, _LEAST_GAIN, _LARGEST_GAIN = 1.4, 0.15, 0.7, 8.0
+"""Seconds in which strays and oscillators are compared, about a period; share of the limit that an
+oscillator counts as swinging at least; and the range of its correction."""
+
+_ROUNDS = 5
+"""Largest number of rounds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shortening:
+    """A problem, the plan that it shortens, and what its rounds share.
+
+    ``strands`` are those that are simulated; ``caps`` (m, m) the largest needs of strands, which
+    the folded knot itself keeps.
+    """
+
+    plan: Plan
+    problem: Problem
+    strands: tuple[Strands, ...]
+    caps: Floats
+
+    @staticmethod
+    def of(plan: Plan) -> "tuple[Shortening, Fold]":
+        """Return the problem of a plan's fold, and its motion as the start."""
+        problem, fold = _problem_of(plan)
+        return Shortening(plan, problem, strands_of(plan), _caps(problem)), fold
+
+    def motion(self, fold: Fold) -> Motion:
+        """Return the motion from time 0: quintics through states every 0.05 s."""
+        shares = np.linspace(0.0, 1.0, int(np.ceil(fold.duration / _SAMPLE)) + 1)
+        place, velocity, acceleration = self.problem.states(fold, shares)
+        velocity[[0, -1]] = acceleration[[0, -1]] = 0.0
+        return through_states(shares * fold.duration, place, velocity, acceleration)
+
+    def plan_with(self, fold: Fold) -> Plan:
+        """Return the plan with this fold."""
+        return with_fold(self.plan, self.motion(fold))
+
+    @property
+    def loss_shares(self) -> Floats:
+        """Shares (l,) of the duration at which setpoints are lost."""
+        return self.problem.shares[::LOSS_EVERY]
+
+
+def shortened(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) -> Plan | None:
+    """Return a plan with a shorter fold, from a line that may be elsewhere to the same knot.
+
+    ``accepted`` tells whether a plan keeps everything that is required; of those plans it is the
+    one with the shortest flight, None where none was accepted. ``progress`` is called with the name
+    of the stage and the share of it that is done.
+    """
+    short, fold = Shortening.of(plan)
+    frozen = _measured_first(short, fold)
+    wanted, room = (
+        np.zeros_like(frozen.needs.strands),
+        np.full(len(short.loss_shares), _ROOM_AFTER_LOSS),
+    )
+    best: Plan | None = None
+    for number in range(_ROUNDS):
+        progress("shortening the fold", number / _ROUNDS)
+        weight = _LATER_WEIGHT if number else _FIRST_WEIGHT
+        fold, frozen = _centred(short, fold, frozen, (wanted, room), weight)
+        found = short.plan_with(fold)
+        if PlanChecks.of(found).spans.problems:
+            break
+        needed = _wanted(short, found)
+        missed = _missed_after_losses(short, found)
+        shorter = best is None or found.flight_duration < best.flight_duration
+        if shorter and accepted(found):
+            best = found
+        if best is found and not missed.any():
+            break
+        wanted, room = needed, room + _MORE_AFTER_LOSS * missed
+    progress("shortening the fold", 1.0)
+    return best
+
+
+def _problem_of(plan: Plan) -> tuple[Problem, Fold]:
+    mission, fold = plan.mission, fold_of(plan)
+    end = float(fold.times[-1])
+    first, last = fold.at(np.array([0.0, end]))[0]
+    along = np.linalg.norm(first - first[0], axis=1)
+    east, north, _ = first[-1] - first[0]
+    pose = np.array([*(0.5 * (first[0] + first[-1])), np.arctan2(north, east)])
+    swing = swing_limit(plan)
+    limits = Limits(
+        _WITHIN * mission.vehicles.max_speed, _WITHIN * usable_acceleration(mission),
+        _WITHIN * swing, mission.vehicles.tracking,
+    )  # fmt: skip
+    problem = Problem(
+        _team(plan, mission.vehicles.tracking, _ROOM, swing),
+        _team(plan, 0.0, 0.0, 0.0),
+        limits,
+        last,
+        along - 0.5 * along[-1],
+        max(_CONTROL_POINTS, round(_POINTS_PER_SECOND * end)),
+        cable_drag(mission.cable.mass_per_length, mission.cable.diameter),
+        float(jet_width(mission, np.zeros(1))[0]),
+    )
+    places = fold.at(np.linspace(0.0, end, 8 * problem.count))[0]
+    return problem, problem.fitted(places, pose, end)
+
+
+def _team(plan: Plan, tracking: float, room: float, swing: float) -> Team:
+    mission = plan.mission
+    clearance, radius = mission.clearance, 0.5 * mission.cable.diameter
+    return Team(
+        lengths=np.ascontiguousarray(plan.layout.lengths),
+        exempt=exempt_length(plan),
+        tracking=tracking,
+        offset=mission.vehicles.grip_offset,
+        chord=MAX_CHORD_RATIO,
+        taut=2.0 * tracking + room,
+        cable=clearance.cable + 2.0 * (radius + swing) + room,
+        body=clearance.vehicle_cable + mission.vehicles.radius + radius + swing + room,
+        floor=clearance.floor + radius + swing + room,
+        aside=clearance.vehicle + 2.0 * tracking + room,
+        above=clearance.downwash + 2.0 * tracking + room,
+    )
+
+
+def _needs(team: Team, room: Floats) -> Needs:
+    """Return the needs (s rows) without movements of hanging cable, and ``room`` (s,) more."""
+    n = len(team.lengths) + 1
+    more = room[:, None, None]
+    return Needs(
+        team.cable + more + np.zeros((n - 1, n - 1)), team.body + more + np.zeros((n, n - 1)),
+        team.floor + room[:, None] + np.zeros(n - 1), team.aside + more + np.zeros((n, n)),
+        team.above + more + np.zeros((n, n)), team.taut + room,
+    )  # fmt: skip
+
+
+def _caps(problem: Problem) -> Floats:
+    """Return the largest needs (m, m) of strands: a little less than what the folded knot keeps,
+    where that is less than the need."""
+    places = np.broadcast_to(problem.folded, (1, *problem.folded.shape)).copy()
+    found = problem.shown_by(places, _needs(problem.team, np.ones(1)))
+    distance, need = found.distances[0], found.strands[0]
+    kept = np.maximum(distance - _KEPT_AT_REST, _LEAST_AT_REST)
+    caps: Floats = np.where((need > 0.0) & (need > kept), kept, np.inf)
+    return caps
+
+
+def _measured_first(short: Shortening, fold: Fold) -> Frozen:
+    problem, (s, m) = short.problem, (short.problem.moments, short.plan.vehicles - 1)
+    squares, damping = modes(np.ones((s, m)))
+    needs = _needs(problem.team, np.zeros(s))
+    frozen = Frozen(needs, squares, damping, np.ones((s, m)), None)
+    wanted = np.zeros_like(needs.strands)
+    frozen = _with_needs(short, frozen, problem.evaluate(fold, frozen), wanted, 1.0)
+    for _ in range(2):
+        shown = problem.evaluate(fold, frozen)
+        frozen = _with_gains(short, fold, frozen, shown, 1.0)[0]
+    return frozen
+
+
+def _centred(
+    short: Shortening, fold: Fold, frozen: Frozen, wanted: tuple[Floats, Floats], weight: float
+) -> tuple[Fold, Frozen]:
+    """Return the motion at the end of a round of steps, and what is measured at it.
+
+    ``wanted`` are least needs of strands (s, m, m), and the room (l,) after lost setpoints.
+    """
+    problem, limit = short.problem, short.problem.limits.swing
+    strands, room = wanted
+    frozen = replace(frozen, coasting=_coasting(short, fold, room))
+    damping, stray = 1.0, 0.0
+    for number in range(1, _MOST_STEPS + 1):
+        step = _newton_step(problem, fold, frozen, weight, damping)
+        fold, damping = step.fold, step.damping
+        shown = problem.evaluate(fold, frozen)
+        frozen = _with_needs(short, frozen, shown, strands, _TOWARDS)
+        measured = number % _MEASURED_EVERY == 0
+        if measured:
+            frozen, stray = _with_gains(short, fold, frozen, shown, _TOWARDS)
+            frozen = replace(frozen, coasting=_coasting(short, fold, room))
+        within = stray <= limit / _WITHIN
+        whole = step.share == 1.0 and step.decrement < _CONVERGED
+        if whole and within and measured and weight >= _LAST_WEIGHT:
+            break
+        near = step.decrement < _NEAR_CENTRE
+        enough = step.share > (_BRIEF if near else _WHOLE) and step.decrement < _FAR_FROM_CENTRE
+        if enough and stray < _OVERSHOT * limit:
+            weight = min(weight * _GROWTH, _LAST_WEIGHT)
+    return fold, frozen
+
+
+def _with_needs(
+    short: Shortening, frozen: Frozen, shown: Evaluation, wanted: Floats, share: float
+) -> Frozen:
+    """Return needs and modes as a motion shows them, by a ``share`` of their changes."""
+    found, needs = shown.found, frozen.needs
+
+    def towards(old: Floats, new: Floats) -> Floats:
+        return np.where(new > 0.0, old + share * (new - old), old)
+
+    strands = np.minimum(np.maximum(found.strands, wanted), short.caps)
+    needs = needs._replace(
+        strands=towards(needs.strands, np.where(found.strands > 0.0, strands, 0.0)),
+        bodies=towards(needs.bodies, found.bodies),
+        floor=towards(needs.floor, found.floor),
+    )
+    squares, damping = modes(found.sags)
+    return replace(frozen, needs=needs, squares=squares, damping=damping)
+
+
+def _with_gains(
+    short: Shortening, fold: Fold, frozen: Frozen, shown: Evaluation, share: float
+) -> tuple[Frozen, float]:
+    """Return the oscillators corrected by lumped masses, by a ``share``, and the largest stray.
+
+    What an oscillator swings in a period is compared with what its strand strays in it.
+    """
+    times, stray = largest_stray(short.motion(fold), short.strands)
+    stray = np.minimum(stray, 1.0)
+    count, moments = len(shown.swings), short.problem.moments
+    step = fold.duration / (moments - 1)
+    wide, gains = max(1, round(_PERIOD / step)), frozen.gains.copy()
+    least = _LEAST_SWING * short.problem.limits.swing
+    for i, old in enumerate(frozen.gains.T):
+        before = np.concatenate([old, np.full(count - moments, old[-1])])
+        alone = scipy.ndimage.maximum_filter1d(shown.swings[:, i] / before, wide)
+        seen = np.interp(step * np.arange(count), times, stray[:, i])
+        ratio = scipy.ndimage.maximum_filter1d(seen, wide) / np.maximum(alone, least)
+        ratio = scipy.ndimage.maximum_filter1d(np.clip(ratio, _LEAST_GAIN, _LARGEST_GAIN), wide)
+        smooth = scipy.ndimage.gaussian_filter1d(ratio, 0.3 * wide)[:moments]
+        gains[:, i] = old * (smooth / old) ** share
+    return replace(frozen, gains=gains), float(stray.max())
+
+
+def _coasting(short: Shortening, fold: Fold, room: Floats) -> Coasting:
+    """Return how far vehicles move on without setpoints, as the certificate has it."""
+    end = fold.duration
+    phases = (Phase("fold", 0.0, end, "aloft", reversible=True),)
+    alone = replace(short.plan, motion=short.motion(fold), phases=phases, gates=())
+    overrun = StreamLossModel().overrun(alone, (0.0, end))
+    stopped = overrun.stopped(np.arange(short.plan.vehicles), 1.0).max()
+    advance = overrun.advance(short.loss_shares * end, np.array(1.0))
+    return Coasting(
+        overrun.coast_time, np.maximum(advance, stopped), overrun.silence,
+        _needs(short.problem.after, room),
+    )  # fmt: skip
+
+
+def _wanted(short: Shortening, plan: Plan) -> Floats:
+    """Return the distances (s, m, m) between the middles of strands at which budgets close."""
+    problem, tube = short.problem, PlanChecks.of(plan).tube
+    m = len(problem.team.lengths)
+    found = np.zeros((problem.moments, m, m))
+    if tube is None or plan.mission.limits.accept_negative_budget:
+        return found
+    pairs, times = tube.pairs.close.pairs, tube.pairs.close.times
+    needed = needed_distances(plan, tube.pairs) + plan.mission.cable.diameter + _ROOM
+    fold = plan.phase("fold")
+    at = problem.shares * fold.duration + fold.start
+    for i, j in dict.fromkeys(map(tuple, pairs.tolist())):
+        rows = np.flatnonzero((pairs == (i, j)).all(axis=1))
+        near = np.abs(at[:, None] - times[rows]) <= _AROUND
+        found[:, i, j] = np.where(near, needed[rows], 0.0).max(axis=1)
+    return np.minimum(found, short.caps)
+
+
+def _missed_after_losses(short: Shortening, plan: Plan) -> npt.NDArray[np.bool_]:
+    """Return where (l,) the certificate does not show that clearances hold at full rate."""
+    fold, shares = plan.phase("fold"), short.loss_shares
+    overrun = StreamLossModel().overrun(plan, (fold.start, fold.end))
+    edges = np.append(fold.start + fold.duration * shares[:-1], fold.end)
+    bound = StreamLossBound(plan, overrun, fold.end)
+    missed = ~bound.holds(edges[:-1], edges[1:], np.ones(len(edges) - 1))
+    found: npt.NDArray[np.bool_] = np.append(missed, False) | np.append(False, missed)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A motion after a step, the damping of the next one, the ``share`` of the step that was taken
+    (0 where none succeeded), and its ``decrement``: twice what a whole step was to save."""
+
+    fold: Fold
+    damping: float
+    share: float
+    decrement: float
+
+
+def _newton_step(
+    problem: Problem, fold: Fold, frozen: Frozen, weight: float, damping: float
+) -> Step:
+    """Return the motion after a damped Newton step, as long as it lowers the cost."""
+    shown, slopes = problem.derived(fold, frozen)
+    gradient, matrix = _by_unknowns(problem, fold, slopes, weight)
+    scale = np.ones(len(gradient))
+    scale[0], scale[4] = 1e-3, 100.0
+    before = shown.cost + weight * np.log(fold.duration)
+    for _ in range(_DAMPINGS):
+        damped = matrix.copy()
+        damped[np.diag_indices(len(damped))] += damping * scale
+        try:
+            factor = scipy.linalg.cho_factor(damped, overwrite_a=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            damping *= 10.0
+            continue
+        step = -scipy.linalg.cho_solve(factor, gradient, check_finite=False)
+        decrement = -float(gradient @ step)
+        moves = np.delete(step, (0, 4))
+        share = 1.0 / max(
+            1.0, float(np.abs(moves).max()) / _LARGEST_MOVE, abs(step[4]) / _LARGEST_TURN,
+            abs(step[0]) / _LARGEST_CHANGE,
+        )  # fmt: skip
+        best: tuple[float, Fold, float] | None = None
+        for _ in range(_HALVINGS):
+            there = _moved(fold, step, share)
+            cost = problem.evaluate(there, frozen).cost
+            cost += weight * float(np.log(there.duration))
+            if best is not None and cost >= best[0]:
+                break
+            if cost < before:
+                best = cost, there, share
+            if cost < before - 0.25 * share * decrement:
+                break
+            share *= 0.5
+        if best is not None:
+            _, there, share = best
+            if share > 0.2:
+                damping = max(0.5 * damping, 1e-3)
+            elif share < 0.03:
+                damping = min(1.5 * damping, 30.0)
+            return Step(there, damping, share, decrement)
+        damping = min(8.0 * damping, 1e3)
+    return Step(fold, damping, 0.0, 0.0)
+
+
+def _by_unknowns(
+    problem: Problem, fold: Fold, slopes: Slopes, weight: float
+) -> tuple[Floats, Floats]:
+    """Return gradient and matrix by the duration's logarithm, the pose, and control points."""
+    edge = RESTING * 3 * len(problem.folded)
+    inner = slice(edge, slopes.gradient.size - edge)
+    by_pose = problem.by_pose(fold.pose)
+    flat, mixed = slopes.gradient.reshape(-1), slopes.mixed.reshape(-1)
+    gradient = np.concatenate([[slopes.by_duration + weight], by_pose.T @ flat, flat[inner]])
+    matrix = np.empty((len(gradient),) * 2)
+    moved = slopes.matrix @ by_pose
+    matrix[0, 0] = max(slopes.twice, 1e-3)
+    matrix[0, 1:5], matrix[0, 5:] = by_pose.T @ mixed, mixed[inner]
+    matrix[1:, 0] = matrix[0, 1:]
+    matrix[1:5, 1:5], matrix[5:, 1:5] = by_pose.T @ moved, moved[inner]
+    matrix[1:5, 5:] = matrix[5:, 1:5].T
+    matrix[5:, 5:] = slopes.matrix[inner, inner]
+    return gradient, matrix
+
+
+def _moved(fold: Fold, step: Floats, share: float) -> Fold:
+    return Fold(
+        fold.free + share * step[5:].reshape(fold.free.shape),
+        fold.pose + share * step[1:5],
+        fold.duration * float(np.exp(share * step[0])),
+    )

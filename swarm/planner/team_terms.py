@@ -1,0 +1,611 @@
+"""Cost of a team's clearances at sampled moments, with its derivatives; compiled.
+
+Every distance that must be kept has a *slack*: what it has beyond its need. The slack costs a
+barrier (:func:`barrier`), which grows without limit towards 0 and ends smoothly at a range. The
+cost has a gradient, and a Gauss-Newton matrix: its second derivative without those of distances.
+
+Distances of strands change with their ends by the exact derivative of the catenary (the response
+``B`` of :mod:`swarm.geometry.sensitivity`), and needs by tracking errors to first order in it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm.geometry.catenary import solve_catenary
+from swarm.geometry.distance import Vector, segment_distance
+from swarm.jit import compiled, inner
+from swarm.signatures import Floats1, Floats2, Floats3, Ints1, Ints2
+
+Floats = npt.NDArray[np.float64]
+
+RANGE, RELAXED = 0.6, 0.015
+"""Metres of slack at which a barrier ends, and below which it continues as a parabola."""
+
+_CHORD_RANGE, _STEEP_RANGE, _DISC_RANGE = 0.3, 0.5, 0.15
+"""The same ends for chords, for the steepness of strands, and for rotor discs: metres."""
+
+_STEEPEST = 0.45
+"""Largest difference of heights of a strand's ends over its length: steeper ones swing farther."""
+
+_DISC = 0.42
+"""Metres from a rotor disc's centre to its own strands, for a disc of 0.25 m 0.6 m above them."""
+
+_PART = 0.2
+"""Weight of a pair of pieces of strands: about five are near each other at a crossing."""
+
+_FLAT = 1e-9
+"""Determinant of K(ℓ) below which a strand's response counts as that of a straight line."""
+
+
+class Team(NamedTuple):
+    """What all moments share: ``lengths`` (m,), and distances in metres.
+
+    ``exempt`` is the length of cable beside a shared vehicle that is not compared, ``tracking`` the
+    tracking radius, ``offset`` the height of a vehicle's centre above its grip point, ``chord`` the
+    largest chord over length, and ``taut`` by how much less it is. ``cable`` and ``body`` are
+    required between the middles of two strands, and of a strand and a vehicle's centre, ``floor``
+    below a strand, ``aside`` or ``above`` between two vehicles.
+    """
+
+    lengths: Floats1
+    exempt: float
+    tracking: float
+    offset: float
+    chord: float
+    taut: float
+    cable: float
+    body: float
+    floor: float
+    aside: float
+    above: float
+
+
+class Needs(NamedTuple):
+    """Needed distances at s moments, metres: of strands (s, m, m), of vehicles and strands
+    (s, n, m), of the lowest points of strands (s, m) from the floor, and of vehicles beside each
+    other or above each other (s, n, n), of which either is enough; and by how much chords are
+    shorter than the longest (s,)."""
+
+    strands: Floats3
+    bodies: Floats3
+    floor: Floats2
+    aside: Floats3
+    above: Floats3
+    taut: Floats1
+
+
+class Found(NamedTuple):
+    """What a moment shows: needs by the tracking errors at its team, and distances of strands.
+
+    As in :class:`Needs`; ``distances`` (s, m, m) are 9 where strands are far apart, ``sags``
+    (s, m) metres below the chord; ``missed`` (s,) the largest missed need, metres.
+    """
+
+    strands: Floats3
+    bodies: Floats3
+    floor: Floats2
+    distances: Floats3
+    sags: Floats2
+    missed: Floats1
+
+
+class Memory(NamedTuple):
+    """Arrays: points of strands (m, p, 3), their responses (m, p, 5), and boxes (m, 6)."""
+
+    points: Floats3
+    responses: Floats3
+    boxes: Floats2
+
+
+class Derivatives(NamedTuple):
+    """Gradient (s, 3n) and Gauss-Newton matrix (s, 3n, 3n) by the vehicles' positions; ``by``
+    (4, 3) is memory."""
+
+    gradient: Floats2
+    matrix: Floats3
+    by: Floats2
+
+
+class Poses(NamedTuple):
+    """Positions (s, n, 3) of a team, with the rows (s,) of its needs, and a vehicle (s,).
+
+    Only what involves that vehicle counts: all of it for −1. Barriers end at ``range`` metres, and
+    cost ``weight`` times as much.
+    """
+
+    places: Floats3
+    rows: Ints1
+    vehicles: Ints1
+    range: float
+    weight: float
+
+
+class _At(NamedTuple):
+    """A pose: its number, the row of its needs, the range of barriers, and whether to derive."""
+
+    pose: int
+    row: int
+    range: float
+    weight: float
+    derive: bool
+
+
+@inner
+def barrier(slack: float, end: float, relaxed: float) -> tuple[float, float, float]:
+    """Return value, slope and curvature of the barrier of a slack.
+
+    −log(x) with x = slack / end, less its expansion to second order at 1, so that it ends there
+    with two derivatives; below ``relaxed`` it continues as the parabola with the same derivatives.
+    """
+    if slack >= end:
+        return 0.0, 0.0, 0.0
+    held = max(slack, relaxed)
+    beyond = held / end - 1.0
+    value = -np.log(held / end) + beyond - 0.5 * beyond * beyond
+    slope = -1.0 / held + 1.0 / end - beyond / end
+    curvature = 1.0 / (held * held) - 1.0 / (end * end)
+    below = min(slack - relaxed, 0.0)
+    value += below * (slope + 0.5 * curvature * below)
+    return value, slope + curvature * below, curvature
+
+
+@inner
+def _write_strand(
+    start: Floats, end: Floats, length: float, points: Floats, response: Floats
+) -> float:
+    """Write points (p, 3) of a strand at equal lengths, and their responses (p, 5); return its sag.
+
+    The response is B by the far end: along the heading by ahead and up, upward by ahead and up, and
+    across; see :mod:`swarm.geometry.sensitivity`.
+    """
+    strand = solve_catenary(start, end, length)
+    east, north = end[0] - start[0], end[1] - start[1]
+    level = np.sqrt(east * east + north * north)
+    east, north = (east / level, north / level) if level > 1e-9 else (1.0, 0.0)
+    low, turn = strand.slope, length / strand.parameter
+    high = low + turn
+    cosh_low, cosh_high = np.sqrt(1.0 + low * low), np.sqrt(1.0 + high * high)
+    first = np.arcsinh(low)
+    whole = np.arcsinh(high) - first
+    tanh, sech = high / cosh_high - low / cosh_low, 1.0 / cosh_high - 1.0 / cosh_low
+    bent = whole - tanh
+    determinant = bent * tanh - sech * sech
+    straight = determinant < _FLAT
+    last, sag = len(points) - 1, 0.0
+    for k in range(last + 1):
+        share = k / last
+        slope = low + share * turn
+        cosh = np.sqrt(1.0 + slope * slope)
+        angle = np.arcsinh(slope) - first
+        along, up = strand.parameter * angle, strand.parameter * (cosh - cosh_low)
+        points[k, 0] = start[0] + along * east
+        points[k, 1] = start[1] + along * north
+        points[k, 2] = start[2] + up
+        sag = max(sag, share * strand.rise - up)
+        here = slope / cosh - low / cosh_low
+        cross = 1.0 / cosh - 1.0 / cosh_low
+        turned = angle - here
+        response[k, 4] = angle / whole
+        if straight:
+            response[k, 0] = response[k, 3] = share
+            response[k, 1] = response[k, 2] = 0.0
+        else:
+            response[k, 0] = (turned * tanh - cross * sech) / determinant
+            response[k, 1] = (cross * bent - turned * sech) / determinant
+            response[k, 2] = (cross * tanh - here * sech) / determinant
+            response[k, 3] = (here * bent - cross * sech) / determinant
+    return sag
+
+
+@inner
+def _by_end(
+    start: Floats, end: Floats, response: Floats, piece: tuple[int, float], direction: Vector
+) -> Vector:
+    """Return the derivative by a strand's far end of a point's movement along a direction.
+
+    The point is a share of the way along a piece. By the near end it is the rest of the direction.
+    """
+    k, part = piece
+    east, north = end[0] - start[0], end[1] - start[1]
+    level = np.sqrt(east * east + north * north)
+    east, north = (east / level, north / level) if level > 1e-9 else (1.0, 0.0)
+    ahead, up = direction[0] * east + direction[1] * north, direction[2]
+    rest = 1.0 - part
+    a0 = rest * response[k, 0] + part * response[k + 1, 0]
+    a1 = rest * response[k, 1] + part * response[k + 1, 1]
+    a2 = rest * response[k, 2] + part * response[k + 1, 2]
+    a3 = rest * response[k, 3] + part * response[k + 1, 3]
+    a4 = rest * response[k, 4] + part * response[k + 1, 4]
+    along = ahead * a0 + up * a2
+    return (
+        along * east + a4 * (direction[0] - ahead * east),
+        along * north + a4 * (direction[1] - ahead * north),
+        ahead * a1 + up * a3,
+    )
+
+
+@inner
+def _add(
+    derivatives: Derivatives, at: _At, vehicles: tuple[int, int, int, int], count: int,
+    slope: float, curvature: float,
+) -> None:  # fmt: skip
+    """Add a cost whose argument has the derivative ``by`` by ``count`` vehicles."""
+    gradient, matrix = derivatives.gradient[at.pose], derivatives.matrix[at.pose]
+    by, slope, curvature = derivatives.by, at.weight * slope, at.weight * curvature
+    for a in range(count):
+        row = 3 * vehicles[a]
+        for x in range(3):
+            gradient[row + x] += slope * by[a, x]
+            scaled = curvature * by[a, x]
+            for b in range(count):
+                column = 3 * vehicles[b]
+                for y in range(3):
+                    matrix[row + x, column + y] += scaled * by[b, y]
+
+
+@inner
+def _between(
+    first: Floats, here: tuple[int, float], second: Floats, there: tuple[int, float], size: float
+) -> Vector:
+    """Return the vector to a point of one polygon from one of another, over its size."""
+    (a, p), (b, q) = here, there
+    step = (
+        first[a, 0] + p * (first[a + 1, 0] - first[a, 0]),
+        first[a, 1] + p * (first[a + 1, 1] - first[a, 1]),
+        first[a, 2] + p * (first[a + 1, 2] - first[a, 2]),
+    )
+    return (
+        (step[0] - second[b, 0] - q * (second[b + 1, 0] - second[b, 0])) / size,
+        (step[1] - second[b, 1] - q * (second[b + 1, 1] - second[b, 1])) / size,
+        (step[2] - second[b, 2] - q * (second[b + 1, 2] - second[b, 2])) / size,
+    )
+
+
+@inner
+def _size(vector: Vector) -> float:
+    return float(np.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2]))
+
+
+@inner
+def _less(one: Vector, other: Vector) -> Vector:
+    return one[0] - other[0], one[1] - other[1], one[2] - other[2]
+
+
+@inner
+def _set(by: Floats, row: int, vector: Vector, sign: float) -> None:
+    by[row, 0], by[row, 1], by[row, 2] = sign * vector[0], sign * vector[1], sign * vector[2]
+
+
+@inner
+def _write_box(points: Floats, box: Floats) -> None:
+    """Write the lowest and highest coordinates (6,) of points (p, 3)."""
+    for x in range(3):
+        box[x] = box[x + 3] = points[0, x]
+        for k in range(1, len(points)):
+            box[x] = min(box[x], points[k, x])
+            box[x + 3] = max(box[x + 3], points[k, x])
+
+
+@inner
+def _gap(boxes: Floats, i: int, j: int) -> float:
+    """Return a lower bound of the distance of the boxes around two strands."""
+    gap = 0.0
+    for x in range(3):
+        gap = max(gap, boxes[i, x] - boxes[j, x + 3], boxes[j, x] - boxes[i, x + 3])
+    return gap
+
+
+@compiled
+def add_clearances(
+    poses: Poses, team: Team, needs: Needs, found: Found, memory: Memory,
+    derivatives: Derivatives, derive: bool,
+) -> float:  # fmt: skip
+    """Return the cost of all clearances of poses, and write what each row of needs shows.
+
+    With ``derive``, add the derivatives by the vehicles' positions.
+    """
+    cost = 0.0
+    for s in range(len(poses.places)):
+        if poses.vehicles[s] < 0:
+            found.missed[poses.rows[s]] = 0.0
+        cost += _moment(s, poses, team, needs, found, memory, derivatives, derive)
+    return poses.weight * cost
+
+
+@inner
+def _moment(
+    s: int, poses: Poses, team: Team, needs: Needs, found: Found, memory: Memory,
+    derivatives: Derivatives, derive: bool,
+) -> float:  # fmt: skip
+    place, strands, only = poses.places[s], len(team.lengths), poses.vehicles[s]
+    at = _At(s, poses.rows[s], poses.range, poses.weight, derive)
+    for i in range(strands):
+        found.sags[at.row, i] = _write_strand(
+            place[i], place[i + 1], team.lengths[i], memory.points[i], memory.responses[i]
+        )
+        _write_box(memory.points[i], memory.boxes[i])
+    cost = 0.0
+    for i in range(strands):
+        for j in range(i + 1, strands):
+            if only < 0 or only in (i, i + 1, j, j + 1):
+                cost += _strands(at, i, j, place, team, needs, found, memory, derivatives)
+    for i in range(strands + 1):
+        for j in range(i + 1, strands + 1):
+            if only < 0 or only in (i, j):
+                cost += _vehicles(at, i, j, place, needs, found, derivatives)
+        for j in range(strands):
+            if only < 0 or only in (i, j, j + 1):
+                cost += _bodies(at, i, j, place, team, needs, found, memory, derivatives)
+    for i in range(strands):
+        if only < 0 or only in (i, i + 1):
+            cost += _strand_alone(at, i, place, team, needs, found, memory, derivatives)
+    return cost
+
+
+@inner
+def _strands(
+    at: _At, i: int, j: int, place: Floats, team: Team, needs: Needs, found: Found, memory: Memory,
+    derivatives: Derivatives,
+) -> float:  # fmt: skip
+    """Cost of two strands: of all pairs of their pieces that are near, but beside a shared grip."""
+    need = needs.strands[at.row, i, j]
+    gap = _gap(memory.boxes, i, j)
+    found.strands[at.row, i, j], found.distances[at.row, i, j] = 0.0, 9.0
+    if gap > need + at.range:
+        return 0.0
+    first, second = memory.points[i], memory.points[j]
+    pieces, near = len(first) - 1, j == i + 1
+    exempt = min(team.exempt, 0.5 * team.lengths[i], 0.5 * team.lengths[j])
+    half = 0.5 * (team.lengths[i] + team.lengths[j]) / pieces
+    far = 4.0 * (need + at.range + half) ** 2
+    cost, best = 0.0, np.inf
+    for a in range(pieces):
+        beside_a = near and team.lengths[i] * (pieces - a) / pieces <= exempt
+        for b in range(pieces):
+            if beside_a or (near and team.lengths[j] * (b + 1) / pieces <= exempt):
+                continue
+            x = first[a, 0] + first[a + 1, 0] - second[b, 0] - second[b + 1, 0]
+            y = first[a, 1] + first[a + 1, 1] - second[b, 1] - second[b + 1, 1]
+            z = first[a, 2] + first[a + 1, 2] - second[b, 2] - second[b + 1, 2]
+            if x * x + y * y + z * z > far:
+                continue
+            square, p, q = segment_distance(first, a, second, b)
+            distance = max(np.sqrt(square), 1e-9)
+            if distance >= need + at.range:
+                continue
+            normal = _between(first, (a, p), second, (b, q), distance)
+            here = _by_end(place[i], place[i + 1], memory.responses[i], (a, p), normal)
+            there = _by_end(place[j], place[j + 1], memory.responses[j], (b, q), normal)
+            rest_here, rest_there = _less(normal, here), _less(normal, there)
+            if distance < best:
+                best = distance
+                moved = _size(rest_here) + _size(there)
+                if near:
+                    moved += _size(_less(here, rest_there))
+                else:
+                    moved += _size(here) + _size(rest_there)
+                found.strands[at.row, i, j] = team.cable + team.tracking * moved
+            value, slope, curvature = barrier(distance - need, at.range, RELAXED)
+            cost += _PART * value
+            if at.derive:
+                _set(derivatives.by, 0, rest_here, 1.0)
+                _set(derivatives.by, 1, here, 1.0)
+                _set(derivatives.by, 2, rest_there, -1.0)
+                _set(derivatives.by, 3, there, -1.0)
+                _add(derivatives, at, (i, i + 1, j, j + 1), 4, _PART * slope, _PART * curvature)
+    if best < np.inf:
+        found.distances[at.row, i, j] = best
+        found.missed[at.row] = max(found.missed[at.row], need - best)
+    return cost
+
+
+@inner
+def _vehicles(
+    at: _At, i: int, j: int, place: Floats, needs: Needs, found: Found, derivatives: Derivatives,
+) -> float:  # fmt: skip
+    """Cost of two vehicles: of their distance in plan view or in height, whichever misses less."""
+    x, y, z = place[i, 0] - place[j, 0], place[i, 1] - place[j, 1], place[i, 2] - place[j, 2]
+    level = max(np.sqrt(x * x + y * y), 1e-9)
+    aside, above = level - needs.aside[at.row, i, j], abs(z) - needs.above[at.row, i, j]
+    slack = max(aside, above)
+    if slack >= at.range:
+        return 0.0
+    found.missed[at.row] = max(found.missed[at.row], -slack)
+    value, slope, curvature = barrier(slack, at.range, RELAXED)
+    if at.derive:
+        direction = (x / level, y / level, 0.0)
+        if above > aside:
+            direction = (0.0, 0.0, 1.0 if z > 0.0 else -1.0)
+        _set(derivatives.by, 0, direction, 1.0)
+        _set(derivatives.by, 1, direction, -1.0)
+        _add(derivatives, at, (i, j, 0, 0), 2, slope, curvature)
+    return value
+
+
+@inner
+def _bodies(
+    at: _At, i: int, j: int, place: Floats, team: Team, needs: Needs, found: Found, memory: Memory,
+    derivatives: Derivatives,
+) -> float:  # fmt: skip
+    """Cost of a vehicle's body and a strand, or of its rotor disc and one that it holds."""
+    own = i in (j, j + 1)
+    need = _DISC if own else needs.bodies[at.row, i, j]
+    end = _DISC_RANGE if own else at.range
+    x, y, z = place[i, 0], place[i, 1], place[i, 2] + team.offset
+    found.bodies[at.row, i, j] = 0.0
+    boxes, reach = memory.boxes[j], need + end
+    if (
+        x > boxes[3] + reach or y > boxes[4] + reach or z > boxes[5] + reach
+        or x < boxes[0] - reach or y < boxes[1] - reach or z < boxes[2] - reach
+    ):  # fmt: skip
+        return 0.0
+    points, cost, best = memory.points[j], 0.0, np.inf
+    for b in range(len(points) - 1):
+        ax, ay, az = x - points[b, 0], y - points[b, 1], z - points[b, 2]
+        ex = points[b + 1, 0] - points[b, 0]
+        ey = points[b + 1, 1] - points[b, 1]
+        ez = points[b + 1, 2] - points[b, 2]
+        part = min(max((ax * ex + ay * ey + az * ez) / (ex * ex + ey * ey + ez * ez), 0.0), 1.0)
+        ax, ay, az = ax - part * ex, ay - part * ey, az - part * ez
+        distance = max(np.sqrt(ax * ax + ay * ay + az * az), 1e-9)
+        if distance >= reach:
+            continue
+        normal = (ax / distance, ay / distance, az / distance)
+        there = _by_end(place[j], place[j + 1], memory.responses[j], (b, part), normal)
+        rest = _less(normal, there)
+        if distance < best:
+            best = distance
+            found.bodies[at.row, i, j] = team.body + team.tracking * (
+                1.0 + _size(there) + _size(rest)
+            )
+        value, slope, curvature = barrier(distance - need, end, RELAXED)
+        cost += _PART * value
+        if at.derive:
+            _set(derivatives.by, 0, normal, 1.0)
+            _set(derivatives.by, 1, rest, -1.0)
+            _set(derivatives.by, 2, there, -1.0)
+            _add(derivatives, at, (i, j, j + 1, 0), 3, _PART * slope, _PART * curvature)
+    if best < np.inf:
+        found.missed[at.row] = max(found.missed[at.row], need - best)
+    return cost
+
+
+@inner
+def _strand_alone(
+    at: _At, i: int, place: Floats, team: Team, needs: Needs, found: Found, memory: Memory,
+    derivatives: Derivatives,
+) -> float:  # fmt: skip
+    """Cost of a strand's chord, its steepness, and its height above the floor."""
+    along = (
+        place[i + 1, 0] - place[i, 0], place[i + 1, 1] - place[i, 1], place[i + 1, 2] - place[i, 2]
+    )  # fmt: skip
+    chord = max(_size(along), 1e-9)
+    slack = team.chord * team.lengths[i] - chord - needs.taut[at.row]
+    cost, slope, curvature = barrier(slack, _CHORD_RANGE, 0.5 * RELAXED)
+    found.missed[at.row] = max(found.missed[at.row], -slack)
+    if at.derive and cost > 0.0:
+        direction = (along[0] / chord, along[1] / chord, along[2] / chord)
+        _set(derivatives.by, 0, direction, 1.0)
+        _set(derivatives.by, 1, direction, -1.0)
+        _add(derivatives, at, (i, i + 1, 0, 0), 2, slope, curvature)
+    value, slope, curvature = barrier(
+        _STEEPEST * team.lengths[i] - abs(along[2]), _STEEP_RANGE, RELAXED
+    )
+    cost += value
+    if at.derive and value > 0.0:
+        direction = (0.0, 0.0, 1.0 if along[2] > 0.0 else -1.0)
+        _set(derivatives.by, 0, direction, 1.0)
+        _set(derivatives.by, 1, direction, -1.0)
+        _add(derivatives, at, (i, i + 1, 0, 0), 2, slope, curvature)
+    points = memory.points[i]
+    lowest, up, last = 0, (0.0, 0.0, 1.0), len(points) - 2
+    for k in range(1, last + 2):
+        if points[k, 2] < points[lowest, 2]:
+            lowest = k
+    height = points[lowest, 2]
+    lowest, part = (lowest, 0.0) if lowest <= last else (last, 1.0)
+    there = _by_end(place[i], place[i + 1], memory.responses[i], (lowest, part), up)
+    rest = _less(up, there)
+    found.floor[at.row, i] = team.floor + team.tracking * (_size(there) + _size(rest))
+    slack = height - needs.floor[at.row, i]
+    value, slope, curvature = barrier(slack, at.range, RELAXED)
+    cost += value
+    found.missed[at.row] = max(found.missed[at.row], -slack)
+    if at.derive and value > 0.0:
+        _set(derivatives.by, 0, rest, 1.0)
+        _set(derivatives.by, 1, there, 1.0)
+        _add(derivatives, at, (i, i + 1, 0, 0), 2, slope, curvature)
+    return cost
+
+
+@compiled
+def oscillate(
+    force: Floats2, squares: Floats1, damping: Floats1, step: float, found: Floats2
+) -> None:
+    """Write ``found`` (t, k): y″ + c·y′ + ω²·y = −f for columns of ``force`` (t, k), from rest.
+
+    ω² are the ``squares`` (t,), c the ``damping`` (t,); by the trapezoidal rule with ``step``
+    seconds. The second half of ``found``'s rows is memory: it has 2 more rows than ``force``.
+    """
+    count, columns = force.shape
+    place, speed = found[count], found[count + 1]
+    for k in range(columns):
+        place[k] = speed[k] = found[0, k] = 0.0
+    for t in range(1, count):
+        square, drag = 0.5 * (squares[t] + squares[t - 1]), 0.5 * (damping[t] + damping[t - 1])
+        below = 1.0 + 0.5 * step * drag + 0.25 * step * step * square
+        kept = 1.0 - 0.5 * step * drag - 0.25 * step * step * square
+        for k in range(columns):
+            pushed = -0.5 * (force[t, k] + force[t - 1, k])
+            faster = (speed[k] * kept + step * (pushed - square * place[k])) / below
+            place[k] += 0.5 * step * (speed[k] + faster)
+            speed[k] = faster
+            found[t, k] = place[k]
+
+
+@compiled
+def respond(held: Floats2, lost: Floats2, found: Floats2) -> None:
+    """Write ``found`` (t, k): the second of three states that columns of ``lost`` (t, k) drive.
+
+    ``held`` (3, 4) advances the states, with the column, by a moment. The last three rows of
+    ``found`` are memory: it has 3 more rows than ``lost``.
+    """
+    count, columns = lost.shape
+    state = found[count:]
+    for k in range(columns):
+        state[0, k] = state[1, k] = state[2, k] = 0.0
+    for t in range(count):
+        for k in range(columns):
+            a, b, c, d = state[0, k], state[1, k], state[2, k], lost[t, k]
+            for row in range(3):
+                state[row, k] = (
+                    held[row, 0] * a + held[row, 1] * b + held[row, 2] * c + held[row, 3] * d
+                )
+            found[t, k] = state[1, k]
+
+
+class Splines(NamedTuple):
+    """The six splines that move each vehicle of a pose: shares (s, n, 6), the first's number
+    (s, n)."""
+
+    shares: Floats3
+    first: Ints2
+
+
+@compiled
+def scatter(splines: Splines, weight: float, blocks: Floats3, matrix: Floats2) -> None:
+    """Add to ``matrix`` (k·3n, k·3n) the blocks (s, 3n, 3n) of poses, by the splines at them."""
+    poses, vehicles, many = splines.shares.shape
+    for s in range(poses):
+        for i in range(vehicles):
+            for j in range(vehicles):
+                touched = 0.0
+                for x in range(3):
+                    for y in range(3):
+                        touched += abs(blocks[s, 3 * i + x, 3 * j + y])
+                if touched == 0.0:
+                    continue
+                for a in range(many):
+                    row = (splines.first[s, i] + a) * 3 * vehicles + 3 * i
+                    for b in range(many):
+                        column = (splines.first[s, j] + b) * 3 * vehicles + 3 * j
+                        factor = weight * splines.shares[s, i, a] * splines.shares[s, j, b]
+                        for x in range(3):
+                            for y in range(3):
+                                matrix[row + x, column + y] += (
+                                    factor * blocks[s, 3 * i + x, 3 * j + y]
+                                )
+
+
+@compiled
+def gather(splines: Splines, vectors: Floats2, found: Floats2) -> None:
+    """Add to ``found`` (k, 3n) the vectors (s, 3n) of poses, by the splines at them."""
+    poses, vehicles, many = splines.shares.shape
+    for s in range(poses):
+        for i in range(vehicles):
+            for a in range(many):
+                row, share = splines.first[s, i] + a, splines.shares[s, i, a]
+                for x in range(3 * i, 3 * i + 3):
+                    found[row, x] += share * vectors[s, x]

@@ -1,0 +1,180 @@
+"""One optimisation of a fold: its derivatives, its needs, and the plan that it finds."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+
+from swarm import planner
+from swarm.certification.air import deepest_sinking
+from swarm.certification.clearances import PlanChecks
+from swarm.mission import parse_mission
+from swarm.planner import PlanningResult, shortening
+from swarm.planner.fold_problem import Fold, Frozen, Problem
+from swarm.planner.shortening import Shortening
+from swarm.planner.team_terms import _by_end, _write_strand
+from tests.shared import shared
+
+Floats = npt.NDArray[np.float64]
+
+FIVE = Path(__file__).parents[1] / "missions" / "overhand_five.yaml"
+
+
+def five(method: str) -> PlanningResult:
+    text = FIVE.read_text(encoding="utf-8")
+    text = text.replace("fold: {", f"fold: {{method: {method}, ")
+    return planner.plan(parse_mission(text, str(FIVE)), robustness=False)
+
+
+@shared
+def as_certified() -> PlanningResult:
+    """The overhand with five vehicles, which follow one curve."""
+    return five("certified")
+
+
+@shared
+def as_optimised() -> PlanningResult:
+    """The same mission, its fold shortened."""
+    return five("optimised")
+
+
+def begun() -> tuple[Shortening, Fold, Frozen]:
+    """The problem at a motion somewhat quicker than planned, where all terms count."""
+    short, fold = Shortening.of(as_certified().plan)
+    frozen = shortening._measured_first(short, fold)
+    fold = replace(fold, duration=0.7 * fold.duration)
+    room = np.full(len(short.loss_shares), 0.1)
+    frozen = replace(frozen, coasting=shortening._coasting(short, fold, room))
+    return short, fold, frozen
+
+
+def parts_of(problem: Problem, fold: Fold, frozen: Frozen) -> Floats:
+    """Return the cost, and its derivatives by all unknowns."""
+    shown, slopes = problem.derived(fold, frozen)
+    gradient, _ = shortening._by_unknowns(problem, fold, slopes, 0.0)
+    return np.concatenate([[shown.cost], gradient])
+
+
+TERMS = "clearances", "after losses", "speed and acceleration", "swing", "sinking", "all"
+
+
+@pytest.mark.parametrize("term", TERMS)
+def test_derivatives_of_each_term_are_those_of_its_values(term: str) -> None:
+    short, fold, frozen = begun()
+    problem = short.problem
+    rng = np.random.default_rng(4)
+    fold = replace(fold, free=fold.free + rng.normal(scale=0.005, size=fold.free.shape))
+    if term != "all":
+        limits = problem.limits
+        far = replace(limits, speed=1e6, acceleration=1e6, swing=1e6, sinking=1e6)
+        kept = {
+            "speed and acceleration": replace(
+                far, speed=limits.speed, acceleration=limits.acceleration
+            ),
+            "swing": replace(far, swing=limits.swing),
+            "sinking": replace(far, sinking=0.1 * limits.sinking),
+        }
+        problem = replace(problem, limits=kept.get(term, far))
+    if term not in {"after losses", "all"}:
+        frozen = replace(frozen, coasting=None)
+    before = parts_of(problem, fold, frozen)
+    seen = 0
+    for _ in range(3):
+        step = rng.normal(size=len(before) - 1) * 0.1
+        size = 1e-6
+        ahead, behind = (
+            problem.evaluate(shortening._moved(fold, step, sign * size), frozen).cost
+            for sign in (1.0, -1.0)
+        )
+        slope = (ahead - behind) / (2.0 * size)
+        parts = before[1:] * step  # of which many cancel
+        assert slope == pytest.approx(parts.sum(), rel=2e-4, abs=2e-5 * np.abs(parts).sum())
+        seen += abs(slope) > 1e-3
+    assert seen
+
+
+@given(
+    st.floats(0.5, 0.97), st.floats(-0.4, 0.4), st.floats(0.0, 6.3), st.integers(1, 199),
+    st.integers(0, 2),
+)  # fmt: skip
+@settings(max_examples=40, deadline=None)
+def test_points_of_a_strand_are_those_of_its_catenary_and_move_with_its_ends(
+    ratio: float, steep: float, heading: float, piece: int, axis: int
+) -> None:
+    length, share = 3.0, piece / 200
+    rise, chord = steep * ratio * length, ratio * length
+    level = np.sqrt(chord**2 - rise**2)
+    end = np.array([level * np.cos(heading), level * np.sin(heading), rise])
+
+    def point(end: Floats) -> Floats:
+        """The point by the equations of the catenary (Routh, *Statics*, § 443)."""
+        span = float(np.hypot(end[0], end[1]))
+        excess = np.sqrt(length**2 - end[2] ** 2)
+        a = brentq(lambda a: 2 * a * np.sinh(0.5 * span / a) - excess, span / 200, span * 1e4)
+        first = np.arctanh(end[2] / length) - 0.5 * span / a
+        arc = np.arcsinh(np.sinh(first) + share * length / a)
+        along = a * (arc - first) / span
+        return np.array([*(along * end[:2]), a * (np.cosh(arc) - np.cosh(first))])
+
+    shown = strand_point(np.zeros(3), end, length, piece)
+    np.testing.assert_allclose(shown[0], point(end), atol=1e-6)
+    step = 1e-5 * np.eye(3)[axis]
+    moved = (point(end + step) - point(end - step)) / 2e-5
+    np.testing.assert_allclose(shown[1][:, axis], moved, atol=2e-3)
+
+
+def strand_point(start: Floats, end: Floats, length: float, piece: int) -> tuple[Floats, Floats]:
+    """Return a point of 200 along a strand, and its derivative (3, 3) by the far end."""
+    points, response = np.empty((201, 3)), np.empty((201, 5))
+    _write_strand(start, end, length, points, response)
+    by = [_by_end(start, end, response, (piece, 0.0), tuple(axis)) for axis in np.eye(3).tolist()]
+    return points[piece], np.array(by)
+
+
+@pytest.mark.full
+def test_a_shorter_fold_is_cleared_and_needs_no_slower_clock() -> None:
+    before, after = as_certified().plan, as_optimised().plan
+    assert as_optimised().certificate.cleared
+    assert after.phase("fold").duration < 0.5 * before.phase("fold").duration
+    assert after.flight_duration < before.flight_duration - 20.0
+    np.testing.assert_array_equal(after.layout.lengths, before.layout.lengths)
+    assert after.knot == before.knot
+    sinking = deepest_sinking(after)
+    assert sinking is None or sinking.depth <= after.mission.vehicles.tracking
+    assert PlanChecks.of(after).rates_ahead[1].min() == 1.0
+    assert any(note.startswith("shortened the fold from ") for note in after.notes)
+
+
+@pytest.mark.full
+def test_an_optimised_fold_is_the_same_from_a_start_that_differs_by_millimetres() -> None:
+    """It has converged, and is not where chance ended it."""
+    short, fold = Shortening.of(as_certified().plan)
+    wanted = np.zeros((short.problem.moments, 4, 4)), np.full(len(short.loss_shares), 0.05)
+    rng = np.random.default_rng(1)
+    found = []
+    for size in (0.0, 0.002):
+        start = replace(fold, free=fold.free + rng.normal(scale=size, size=fold.free.shape))
+        frozen = shortening._measured_first(short, start)
+        found.append(shortening._centred(short, start, frozen, wanted, 600.0)[0])
+    assert found[0].duration == pytest.approx(found[1].duration, rel=0.03)
+
+
+def test_steps_lower_the_cost_and_shorten_the_fold_while_strands_stay_apart() -> None:
+    short, fold = Shortening.of(as_certified().plan)
+    frozen = shortening._measured_first(short, fold)
+    problem, begun_at, weight, damping = short.problem, fold.duration, 600.0, 1.0
+    cost = problem.evaluate(fold, frozen).cost + weight * np.log(fold.duration)
+    for _ in range(8):
+        step = shortening._newton_step(problem, fold, frozen, weight, damping)
+        fold, damping = step.fold, step.damping
+        after = problem.evaluate(fold, frozen)
+        assert after.cost + weight * np.log(fold.duration) < cost
+        cost = after.cost + weight * np.log(fold.duration)
+    distances = after.found.distances
+    assert distances[distances > 0.0].min() > 0.2
+    assert fold.duration < 0.75 * begun_at
