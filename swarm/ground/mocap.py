@@ -31,6 +31,8 @@ from swarm.mission.fleet import Fleet
 _LARGEST_DATAGRAM = 65_536
 _ORIGIN_INTERVAL = 1.0
 """Seconds between attempts to set a vehicle's origin."""
+_ORIGIN_WAIT = 30.0
+"""Seconds for which poses wait for the origin: autopilots take it seconds after their start."""
 ANYWHERE = Origin(47.397742, 8.545594, 488.0)
 """Origin on the earth without one in the fleet file: ArduPilot arms with one only, and takes 0, 0
 for none. Nothing depends on the place: heading comes from motion capture too."""
@@ -189,8 +191,9 @@ def origin_of(fleet: Fleet) -> Origin:
 
 @dataclass
 class _Seen:
-    """Times of the latest poses of a body; the newest pose, and when it last differed."""
+    """When a body was first seen, its newest pose, when that last differed; times of the latest."""
 
+    began: float
     pose: Pose
     changed: float
     times: "deque[float]" = field(default_factory=deque)
@@ -240,14 +243,29 @@ class MocapBridge:
         for pose in filter(is_possible, self.capture.latest()):
             captured = self._captured(pose, now)
             self._note(pose, now)
-            yield from self.to_vehicle(pose.system, estimate(pose, captured))
+            if not self._waits_for_origin(pose.system, now):
+                yield from self.to_vehicle(pose.system, estimate(pose, captured))
         if now < self._next_origin:
             return
         self._next_origin = now + _ORIGIN_INTERVAL
-        for system, vehicle in self.team.vehicles.items():
-            kind = vehicle.autopilot
-            if kind is not None and kind.needs_origin and vehicle.origin is None:
+        for system in self.team.vehicles:
+            if self._lacks_origin(system):
                 yield from self.to_vehicle(system, origin_message(system, self.origin))
+
+    def _lacks_origin(self, system: int) -> bool:
+        vehicle = self.team.vehicles.get(system)
+        kind = vehicle.autopilot if vehicle is not None else None
+        return kind is not None and kind.needs_origin and self.team.vehicles[system].origin is None
+
+    def _waits_for_origin(self, system: int, now: float) -> bool:
+        """Return whether a vehicle on the ground gets no poses yet.
+
+        ArduCopter 4.6.2 that gets its origin while it follows poses is wrong in height from then on
+        by its height at that moment.
+        """
+        began = self._seen[system].began
+        on_ground = self._lacks_origin(system) and not self.team.vehicles[system].armed
+        return on_ground and now - began < _ORIGIN_WAIT
 
     def _captured(self, pose: Pose, now: float) -> float:
         """Return when a pose was captured, in the time of ``now``.
@@ -283,7 +301,7 @@ class MocapBridge:
         return now - self._since >= _STEPPED and (aside < 0 or (aside > 0 and self._went_back))
 
     def _note(self, pose: Pose, now: float) -> None:
-        seen = self._seen.setdefault(pose.system, _Seen(pose, now))
+        seen = self._seen.setdefault(pose.system, _Seen(now, pose, now))
         if (pose.position, pose.attitude) != (seen.pose.position, seen.pose.attitude):
             seen.changed = now
         seen.pose = pose
