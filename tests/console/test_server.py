@@ -1,6 +1,8 @@
 """The process of the console on loopback, with WebSocket clients that are no browsers."""
 
 import json
+import os
+import signal
 import socket
 import ssl
 import time
@@ -143,6 +145,28 @@ def test_hostile_clients_do_not_disturb_the_others(tmp_path):
         )
         before = anna.next("state")["time"]
         assert anna.next("state")["time"] > before
+
+
+def test_a_console_that_hangs_delays_no_flight_and_then_shows_the_present(tmp_path):
+    """Its process stands still for five seconds of a flight that goes on; no backlog is drawn."""
+    with opened(tmp_path) as (stack, flight, console):
+        anna = Client(stack, console.url)
+        anna.join()
+        anna.next("state")
+        os.kill(console.process.pid, signal.SIGSTOP)
+        try:
+            stopped = flight.now
+            until(lambda: flight.now > stopped + 5.0)  # its loop counts its own ticks
+            assert flight.watched
+        finally:
+            os.kill(console.process.pid, signal.SIGCONT)
+        present = anna.next("state", lambda message: message["time"] > stopped + 5.0)["time"]
+        times = [one["time"] for one in anna.messages if one["kind"] == "state"]
+        late = [time for time in times if stopped < time < present]
+        assert len(late) < 0.5 * 20.0 * (present - stopped), late
+        anna.say(do="take")
+        anna.say(do="command", command="hold")
+        assert anna.next("answer")["words"] == "hold it is"
 
 
 def test_the_page_of_another_site_is_refused(tmp_path):
