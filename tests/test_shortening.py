@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 from swarm import planner
 from swarm.certification.air import deepest_sinking
 from swarm.certification.clearances import PlanChecks
+from swarm.errors import Refused
 from swarm.mission import parse_mission
 from swarm.planner import PlanningResult, shortening
 from swarm.planner.fold_problem import Fold, Frozen, Problem
@@ -178,3 +179,13 @@ def test_steps_lower_the_cost_and_shorten_the_fold_while_strands_stay_apart() ->
     distances = after.found.distances
     assert distances[distances > 0.0].min() > 0.2
     assert fold.duration < 0.75 * begun_at
+
+
+def test_what_is_too_large_is_refused() -> None:
+    shortening.require_solvable(11, 92.0, 50)
+    with pytest.raises(Refused) as refused:
+        shortening.require_solvable(19, 293.5, 161)
+    assert str(refused.value) == (
+        "fold.method: expected certified for 19 vehicles and a fold of 294 s, got optimised: "
+        "9,177 unknowns, at most 5,000"
+    )

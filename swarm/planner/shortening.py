@@ -24,6 +24,7 @@ from swarm.certification.cable_spans import exempt_length
 from swarm.certification.clearances import PlanChecks
 from swarm.certification.stream_loss import StreamLossBound, StreamLossModel
 from swarm.certification.swing_runs import strands_of
+from swarm.errors import Refused
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.lumped_mass import Strands
 from swarm.geometry.motion import Motion, through_states
@@ -105,6 +106,9 @@ oscillator counts as swinging at least; and the range of its correction."""
 _ROUNDS = 5
 """Largest number of rounds."""
 
+_MOST_UNKNOWNS = 5000
+"""Unknowns of a problem: matrices of 0.2 GB, and a few seconds of a processor for each step."""
+
 
 @dataclass(frozen=True, eq=False)
 class Shortening:
@@ -148,8 +152,11 @@ def shortened(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) 
     ``accepted`` tells whether a plan keeps everything that is required; of those plans it is the
     one with the shortest flight, None where none was accepted. ``progress`` is called with the name
     of the stage and the share of it that is done.
+
+    Raises :class:`swarm.errors.Refused` for more vehicles and a longer fold than can be solved.
     """
     short, fold = Shortening.of(plan)
+    require_solvable(plan.vehicles, fold.duration, short.problem.count)
     frozen = _measured_first(short, fold)
     wanted, room = (
         np.zeros_like(frozen.needs.strands),
@@ -173,6 +180,16 @@ def shortened(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) 
         wanted, room = needed, room + _MORE_AFTER_LOSS * missed
     progress("shortening the fold", 1.0)
     return best
+
+
+def require_solvable(vehicles: int, duration: float, control_points: int) -> None:
+    """Raise :class:`swarm.errors.Refused` where a problem has more unknowns than can be solved."""
+    unknowns = 3 * vehicles * control_points
+    if unknowns > _MOST_UNKNOWNS:
+        raise Refused(
+            f"fold.method: expected certified for {vehicles} vehicles and a fold of "
+            f"{duration:.0f} s, got optimised: {unknowns:,} unknowns, at most {_MOST_UNKNOWNS:,}"
+        )
 
 
 def _problem_of(plan: Plan) -> tuple[Problem, Fold]:
