@@ -3,11 +3,12 @@
 Computed with the plan, for every moment and every vehicle. After the release of the cable, the
 remaining vehicles move radially away from the point where the failed vehicle falls, each in
 proportion to its distance from there, and climb. Therefore no distance between them decreases, and
-no vehicle comes below the falling one. Where obstacles are in the way, they climb or move less.
+no vehicle comes below the falling one. Where obstacles are in the way, they climb or move less, or
+move farther.
 """
 
 from dataclasses import dataclass
-from itertools import product
+from itertools import chain, product
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +27,8 @@ STEP = 0.5
 MOST_SPREAD = 4.0
 """Largest ratio of distances after and before a separation: limits the area that is flown over."""
 _SPREADS = 13
-"""Spreads that are tried, down to 1, where obstacles are in the way: a twelfth of the way apart."""
+"""Spreads that are tried where obstacles are in the way, down to 1 and up to MOST_SPREAD: twelfths
+of the way."""
 SHARE_OF_SPEED = 0.5
 """Share of the vehicles' largest speed and acceleration that a separation uses."""
 
@@ -89,12 +91,14 @@ def separation_motion(
     """Return the motion (n vehicles) from rest at ``start`` (n, 3) apart and up, ENU metres.
 
     ``centre`` (3,) is the position of the failed vehicle, from which all others move away: by less
-    than ``spread``, or without climbing, where the ways of vehicles that follow setpoints,
-    ``follows`` (n,), or their descents would be too near an obstacle. Where no descent is clear,
-    only the ways are; where no way is, all stay at ``start``.
+    than ``spread``, or by more, or without climbing, where the ways of vehicles that follow
+    setpoints, ``follows`` (n,), or their descents would be too near an obstacle. Where no descent
+    is clear, only the ways are; where no way is, all stay at ``start``.
     """
-    spreads = np.linspace(spread, 1.0, _SPREADS)
-    for descends, up, tried in product((True, False), (UP, 0.0), spreads):
+    nearer = np.linspace(spread, 1.0, _SPREADS)
+    farther = np.linspace(spread, MOST_SPREAD, _SPREADS)[1:]
+    choices = ((True, nearer), (True, farther), (False, nearer))
+    for descends, up, tried in chain(*(product((d,), (UP, 0.0), s) for d, s in choices)):
         end = centre + (start - centre) * tried
         end[:, 2] = start[:, 2] + up
         clear = _ways_clear(start[follows], end[follows], mission)

@@ -272,6 +272,19 @@ def test_a_team_separates_as_far_as_obstacles_allow(height):
     assert min(each.min() for each in vehicles) >= CLEARANCE + TRACKING - 1e-9
 
 
+def test_a_team_that_need_not_move_apart_does_to_come_down_beside_a_table():
+    start = np.array([[-4.0, 0.0, 4.0], [0.0, 0.0, 4.0], [-0.1, 2.9, 7.0]])
+    table = {"name": "table", "shape": "box", "centre": [0.2, 3.0], "size": [1.6, 0.8],
+             "top": 0.75}  # fmt: skip
+    mission = beside(moving([0.0, 1.0], [start, start]), obstacles=[table]).mission
+    motion = separation_motion(start, start.mean(axis=0), 1.0, mission, np.ones(3, dtype=bool))
+    end = motion.at(motion.times[-1])[0]
+    assert end[2, 1] > 3.4 + mission.vehicles.radius + CLEARANCE + TRACKING
+    free = beside(moving([0.0, 1.0], [start, start]), obstacles=[]).mission
+    motion = separation_motion(start, start.mean(axis=0), 1.0, free, np.ones(3, dtype=bool))
+    assert motion.at(motion.times[-1])[0][:, :2] == pytest.approx(start[:, :2])
+
+
 def separated(start, obstacle, spread):
     """The mission, and where three vehicles are while they separate, from the first to the last."""
     still = moving([0.0, 1.0], [start, start])
