@@ -193,10 +193,9 @@ def after_loss(plan, model, vehicle, time, rate, elapsed):
     ("timeout", "returns", "losses"),
     [
         ((0.5,), (False,), 250),
-        ((0.5, 0.2, 0.1) * 3, (False, True, False) * 3, 250),
+        ((0.5, 0.2, 0.1) * 3, (False,), 250),
+        ((0.5,), (True,), 250),
         pytest.param((0.5,), (False,), 3000, marks=pytest.mark.full),
-        pytest.param((0.5,), (True,), 3000, marks=pytest.mark.full),
-        pytest.param((0.5, 0.2, 0.1) * 3, (False,), 3000, marks=pytest.mark.full),
         pytest.param((0.5, 0.2, 0.1) * 3, (False, True, False) * 3, 3000, marks=pytest.mark.full),
         pytest.param((0.1,), (False,), 3000, marks=pytest.mark.full),
         pytest.param((0.5,), (True, False, False) * 3, 3000, marks=pytest.mark.full),
