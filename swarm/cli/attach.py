@@ -101,7 +101,6 @@ def attach(
                 terminal.print("Detached: the flight goes on.", highlight=False)
                 return
     code = _print_outcome(folder, terminal)
-    _complete(folder, terminal)
     context.exit(code)
 
 
@@ -250,7 +249,7 @@ def _complete(folder: Path, console: Console) -> None:
 
 
 def _print_outcome(folder: Path, console: Console) -> int:
-    """Print how a flight ended, from its record; return its exit code."""
+    """Print how a flight ended, once its record is complete; return its exit code."""
     latest = time.monotonic() + _ENDS
     while True:
         try:
@@ -262,6 +261,7 @@ def _print_outcome(folder: Path, console: Console) -> int:
                 message = f"{folder}: the flight ended without a summary"
                 raise VehicleError(message) from None
             time.sleep(_POLL)
+    _complete(folder, console)
     words = f"{word}: {explanation}" if explanation else word
     console.print(words, soft_wrap=True, highlight=False, markup=False)
     console.print(f"Record: {folder}", soft_wrap=True, highlight=False)

@@ -646,6 +646,8 @@ def _rates(flight: FlightState, rate: float) -> npt.NDArray[np.float64]:
     rates = np.full(plan.vehicles, rate)
     for k in contingency_of(flight).caught:
         rates[k] = -1.0 if seen.error[k] > 0.5 * LAG else 0.0
+    if not len(plan.layout.lengths):
+        return rates
     chord = np.linalg.norm(np.diff(place, axis=0), axis=1)
     longest = MAX_CHORD_RATIO * plan.layout.lengths - 2.0 * plan.mission.vehicles.tracking
     held = np.logical_and(seen.gripped[:-1], seen.gripped[1:])

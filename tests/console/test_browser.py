@@ -289,19 +289,23 @@ def test_the_page_of_a_check_asks_before_parameters_are_set(tmp_path, browser):
         for line in check.stdout:
             if found := re.match(r"Console: (http://\S+)", line):
                 break
-        page, errors = page_of(browser, found[1], 390, "light")
-        shows(page, ".buttons .go", "sets these ")
-        shows(page, "#team tbody", "7not ready: COM_OBL_RC_ACT is 0")
-        shows(page, "#checked tbody", "systems 1, 7: COM_OBL_RC_ACT is 0")
-        shows(page, "#phases .current", "parameters")
-        shows(page, ".buttons .interrupt", "End the check")
-        for hidden in (".maps", ".buttons .hold", ".buttons .kill", "#margins"):
-            expect(page.locator(hidden)).to_be_hidden()
-        assert page.evaluate("document.documentElement.scrollWidth") == 390
-        page.click("#take")
-        page.click(".buttons .go")
-        shows(page, "#answer", "go: sets these ")
-        shows(page, "#wait", "The check has ended. GO for flight")
+        try:
+            page, errors = page_of(browser, found[1], 390, "light")
+            shows(page, ".buttons .go", "sets these ")
+            shows(page, "#team tbody", "7not ready: COM_OBL_RC_ACT is 0")
+            shows(page, "#checked tbody", "systems 1, 7: COM_OBL_RC_ACT is 0")
+            shows(page, "#phases .current", "parameters")
+            shows(page, ".buttons .interrupt", "end the check")
+            for hidden in (".maps", ".buttons .hold", ".buttons .kill", "#margins"):
+                expect(page.locator(hidden)).to_be_hidden()
+            assert page.evaluate("document.documentElement.scrollWidth") == 390
+            page.click("#take")
+            page.click(".buttons .go")
+            shows(page, "#answer", "go: sets these ")
+            shows(page, "#wait", "The check has ended. GO for flight")
+        except BaseException:
+            check.kill()  # it waits for an answer
+            raise
         assert "set systems 1, 7: COM_OBL_RC_ACT 0" in check.stdout.read()
         assert (check.wait(), errors) == (0, [])
 

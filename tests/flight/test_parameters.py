@@ -178,7 +178,8 @@ def test_a_team_of_which_some_would_land_and_others_hold_is_refused():
     _, findings = stream_loss_findings(plan, stream_loss_model([lands, holds, lands], FLEET.limits))
     (error,) = [finding for finding in findings if finding.severity == "error"]
     assert "vehicle 1, vehicle 3 would land at once and the others would hold" in error.message
-    model = stream_loss_model([lands, lands, lands], FLEET.limits)
+    late = ("px4", {"COM_OF_LOSS_T": 2.0, "COM_OBL_RC_ACT": 4.0})
+    model = stream_loss_model([late, late, late], FLEET.limits)
     certificate, findings = stream_loss_findings(plan, model)
     assert not [finding for finding in findings if finding.severity == "error"]
     # and how long the flight takes at the pace that this allows

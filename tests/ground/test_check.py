@@ -43,8 +43,7 @@ def test_parameters_are_checked_set_and_restored(tmp_path):
     assert report.order == (1, 2, 3)
     assert [item.check for item in report.checklist()] == [
         "fleet", "firmware", "ready", "health", "battery", "position", "parameters", "fence",
-        "placement", "origin", "clock", "hold", "stream loss", "endurance",
-        "link",
+        "placement", "origin", "clock", "hold", "stream loss", "link",
     ]  # fmt: skip
     assert all(item.go for item in report.checklist())
     messages = [f.message for f in report.findings]
