@@ -242,8 +242,8 @@ def _complete(folder: Path, console: Console) -> None:
         return
     try:
         verified = verify_record(folder)
-        write_text(folder / REPORT, recorded_report(verified))
         enter(verified)
+        write_text(folder / REPORT, recorded_report(verified))
     except InputError as error:
         console.print(f"Report: not written: {error}", soft_wrap=True, markup=False)
 

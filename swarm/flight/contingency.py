@@ -23,7 +23,6 @@ from swarm.flight.separation import separation_motion, spread_here
 from swarm.flight.stages import Stage, Step, StepTrigger, Trigger
 from swarm.flight.state import Contingency, FlightState
 from swarm.flight.streams import continue_rejoining, outside
-from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.mavlink.vehicle import Vehicle
 
 LONGEST_HOVER, DESCENT_SPEED = 5.0, 0.2
@@ -590,7 +589,7 @@ def _descend(flight: FlightState) -> None:
 
     For a vehicle that stays above, or whose rotors still turn on the ground below cable, the
     descent pauses for T; then the cable is released for the first if it may. Where a caught strand
-    holds a vehicle back, it is released as soon as it may; until then this vehicle stays above.
+    holds a vehicle back, it is released as soon as it may.
     """
     contingency, height = contingency_of(flight), flight.streams.setpoint[:, 2]
     alone = {*contingency.alone, *(k for k in not_following(flight) if height[k] > TOUCHDOWN)}
@@ -599,16 +598,15 @@ def _descend(flight: FlightState) -> None:
     patient = contingency.waited <= longest
     if above is not None and not patient:
         release_if_open(flight)
-    elif _note_caught(flight):
-        _release_held(flight, sorted(contingency.caught))
+    elif flight.attached and (held := held_by_cable(flight)):
+        _release_held(flight, held)
     if contingency.step is not Step.DESCEND:
         return
     turning = turning_below_cable(flight) if flight.attached and above is None else []
-    waits = above is not None or bool(turning)
-    if patient and (waits or contingency.caught):
+    waits = patient and (above is not None or bool(turning))
+    if waits:
         _note_waiting(flight, above, turning)
-    rates = _rates(flight, 0.0 if waits else 1.0) if patient else 1.0
-    flight.guidance.go_down(flight.timing.moving, rates)
+    flight.guidance.go_down(flight.timing.moving, 0.0 if waits else 1.0)
     for k, vehicle in enumerate(flight.roster.vehicles):
         if not vehicle.armed:
             flight.streams.switch(k, on=False)
@@ -622,40 +620,6 @@ def _release_held(flight: FlightState, held: Sequence[int]) -> None:
     release_if_open(flight)
     if contingency_of(flight).step is Step.DESCEND:
         _release_caught(flight, held)
-
-
-def _note_caught(flight: FlightState) -> bool:
-    """Take note of the vehicles that a strand holds back; return whether there are any."""
-    contingency, vehicles = contingency_of(flight), flight.roster.vehicles
-    held = {*contingency.caught, *(held_by_cable(flight) if flight.attached else ())}
-    caught = frozenset(k for k in held if vehicles[k].gripped)
-    for k in caught - contingency.caught:
-        flight.guidance.rest(k, float(flight.observation.position[k, 2]))
-    contingency.caught = caught
-    return bool(caught)
-
-
-def _rates(flight: FlightState, rate: float) -> npt.NDArray[np.float64]:
-    """Return the rates of the descent (n,): ``rate``, but for vehicles at a caught strand.
-
-    These would be pulled below the place where it is caught, and the strand through their rotors:
-    they go up until it is slack, and stay there. The others come down as far as chords to those
-    that stay allow. A vehicle that climbs is off by less than half of LAG.
-    """
-    plan, seen, place = flight.setup.plan, flight.observation, flight.streams.setpoint
-    rates = np.full(plan.vehicles, rate)
-    for k in contingency_of(flight).caught:
-        rates[k] = -1.0 if seen.error[k] > 0.5 * LAG else 0.0
-    if not len(plan.layout.lengths):
-        return rates
-    chord = np.linalg.norm(np.diff(place, axis=0), axis=1)
-    longest = MAX_CHORD_RATIO * plan.layout.lengths - 2.0 * plan.mission.vehicles.tracking
-    held = np.logical_and(seen.gripped[:-1], seen.gripped[1:])
-    taut = np.flatnonzero(held & (chord > longest)).tolist()
-    for upper, lower in [*((s, s + 1) for s in taut), *((s + 1, s) for s in reversed(taut))]:
-        if place[upper, 2] > place[lower, 2]:
-            rates[lower] = min(rates[lower], rates[upper])
-    return rates
 
 
 def _note_waiting(flight: FlightState, above: Vehicle | None, turning: Sequence[Vehicle]) -> None:

@@ -106,30 +106,21 @@ class State(NamedTuple):
 class Descent:
     """A descent straight down from setpoints (n, 3), all at one speed and down to the floor.
 
-    ``depth`` (n,) metres have been descended at ``time``, and ``rate`` (n,) is the share of the
-    speed: 1 down, 0 at rest, −1 up again, to the start at most.
+    ``depth`` metres have been descended at ``time``, and ``rate`` (0…1) is the share of the speed.
     """
 
     start: Floats
     speed: float
     time: float
-    depth: Floats
-    rate: Floats
+    depth: float = 0.0
+    rate: float = 0.0
 
-    def advanced(self, time: float, rate: Floats | float) -> "Descent":
-        """Return the descent at a later time, whose rates have changed towards others."""
+    def advanced(self, time: float, rate: float) -> "Descent":
+        """Return the descent at a later time, whose rate has changed towards another one."""
         duration = time - self.time
-        change = np.clip(rate - self.rate, -duration / RAMP, duration / RAMP)
+        change = max(-duration / RAMP, min(duration / RAMP, rate - self.rate))
         depth = self.depth + self.speed * (self.rate + 0.5 * change) * duration
-        rates = np.where(depth > 0.0, self.rate + change, np.maximum(self.rate + change, 0.0))
-        return replace(self, time=time, depth=np.maximum(depth, 0.0), rate=rates)
-
-    def resting(self, k: int, height: float) -> "Descent":
-        """Return the descent with vehicle ``k`` at rest at a height above its setpoint."""
-        depth, rate = self.depth.copy(), self.rate.copy()
-        depth[k] = max(min(depth[k], self.start[k, 2] - height), 0.0)
-        rate[k] = 0.0
-        return replace(self, depth=depth, rate=rate)
+        return replace(self, time=time, depth=depth, rate=self.rate + change)
 
     @property
     def state(self) -> State:
@@ -137,7 +128,7 @@ class Descent:
         position, velocity = self.start.copy(), np.zeros_like(self.start)
         floor = np.minimum(self.start[:, 2], 0.0)
         position[:, 2] = np.maximum(self.start[:, 2] - self.depth, floor)
-        velocity[:, 2] = np.where(position[:, 2] > 0.0, -self.speed * self.rate, 0.0)
+        velocity[position[:, 2] > 0.0, 2] = -self.speed * self.rate
         return State(position, velocity, np.zeros_like(self.start))
 
 
@@ -199,24 +190,18 @@ class Guidance:
 
     def descend(self, start: Floats, speed: float, now: float) -> None:
         """Leave the plan straight down from setpoints (n, 3) at rest, all at the same speed."""
-        nothing = np.zeros(len(start))
-        self._descent = Descent(start.copy(), speed, now, nothing, nothing)
+        self._descent = Descent(start.copy(), speed, now)
         self._separation = None
 
     @property
     def at_rest(self) -> bool:
         """Whether the setpoints rest, of a team that descended or has not left the plan."""
-        return self._descent is None or not self._descent.rate.any()
+        return self._descent is None or self._descent.rate == 0.0
 
-    def go_down(self, now: float, rate: Floats | float) -> None:
-        """Go on with the descent until now, at rates that change towards ``rate`` (−1, 0 or 1)."""
+    def go_down(self, now: float, rate: float) -> None:
+        """Go on with the descent until now, at a rate that changes towards ``rate`` (0 or 1)."""
         if self._descent is not None:
             self._descent = self._descent.advanced(now, rate)
-
-    def rest(self, k: int, height: float) -> None:
-        """Let one vehicle rest in the descent, at a height above its setpoint: there it hangs."""
-        if self._descent is not None:
-            self._descent = self._descent.resting(k, height)
 
     @property
     def descending(self) -> bool:

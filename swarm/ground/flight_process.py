@@ -133,7 +133,11 @@ def _serve(
             case "event" if callbacks.on_event is not None:
                 callbacks.on_event(content)
             case "confirm":
-                answer = _confirm(callbacks.confirm, content, confirming, inbox.answered)
+                try:
+                    answer = _confirm(callbacks.confirm, content, confirming, inbox.answered)
+                except Exception:  # as the end of the input: no answer of another screen counts
+                    _send(pipe, "answer", False)
+                    raise
                 _send(pipe, "answer", answer)
                 keys.start()  # the question is answered on the same terminal
         keys.poll()
@@ -157,8 +161,8 @@ def _confirm(
 ) -> bool | None:
     if confirm is None:
         return True
-    confirming.set()
     try:
+        confirming.set()
         # before it is set, the signal that ends a question does nothing
         return None if answered.is_set() else confirm(audit)
     except KeyboardInterrupt:

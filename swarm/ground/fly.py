@@ -351,7 +351,7 @@ class TickTasks:
             self._checked = True
             self._ask(preflight.audited)
         decision = preflight.decision()
-        if conductor.go_given is not None:
+        if conductor.go_given is not None and not isinstance(decision, str):
             decision = self._count_down(conductor.go_given)
         elif preflight.abandoned and self._alone:
             decision = "not confirmed"

@@ -331,7 +331,7 @@ class ControlSocket:
             if word == "name":
                 client.console.author = _named(client, printable(rest))
             elif word == "note":
-                client.console.note(printable(rest))
+                client.console.note(_named(client, printable(rest)))
             elif text == "watch" or word == "screens":
                 client.watches = rest != "0"
                 self._follow(client)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from threadpoolctl import threadpool_limits
 
-from swarm.certification.air import deepest_sinking
+from swarm.certification.air import LEAST_SINKING, deepest_sinking
 from swarm.certification.assessment import Assessment
 from swarm.certification.budget import least_remaining
 from swarm.certification.certificate import (
@@ -87,8 +87,8 @@ def plan(
 def _with_shorter_fold(result: PlanningResult, progress: Progress | None) -> PlanningResult:
     """Return a cleared plan with the shortest fold that one optimisation finds, where asked for.
 
-    It is cleared too, and no vehicle sinks in jets by more than its tracking radius. The plan stays
-    as it is where no such fold is shorter.
+    It is cleared too, and as safe in all that the certificate states. The plan stays as it is, with
+    a note, where no such fold is found.
     """
     plan = result.plan
     if plan.mission.fold.method != "optimised" or not result.certificate.cleared:
@@ -97,18 +97,45 @@ def _with_shorter_fold(result: PlanningResult, progress: Progress | None) -> Pla
 
     def accepted(shorter: Plan) -> bool:
         again = PlanningResult(shorter, certify(shorter))
-        tracking = plan.mission.vehicles.tracking
-        holds = again.certificate.cleared and certified(shorter, tracking=tracking)
-        if holds and _deepest_sinking(again) <= tracking:
+        if again.certificate.cleared and _as_safe(again, result):
             found.append(again)
         return found[-1] is again
 
     shortened(plan, accepted, progress or (lambda _stage, _share: None))
     best = min(found, key=lambda each: each.plan.flight_duration)
-    folds = (f"{each.plan.phase('fold').duration:.1f} s" for each in (result, best))
-    note = "shortened the fold from {} to {} by one optimisation".format(*folds)
-    noted = replace(best.plan, notes=(*best.plan.notes, note))
-    return replace(best, plan=noted)
+    before, after = (each.plan.phase("fold").duration for each in (result, best))
+    note = f"shortened the fold from {before:.1f} s to {after:.1f} s by one optimisation"
+    if best is result:
+        note = "no shorter fold was cleared that is as safe in all that the certificate states"
+    return replace(best, plan=replace(best.plan, notes=(*best.plan.notes, note)))
+
+
+def _as_safe(again: PlanningResult, before: PlanningResult) -> bool:
+    """Return whether a cleared plan with another fold is no less safe than one before.
+
+    It holds for the tracking radius, no vehicle sinks farther than that in jets, lost setpoints
+    slow the clock no more, the budget is no shorter, and no check warns that did not before.
+    """
+    plan, tracking = again.plan, again.plan.mission.vehicles.tracking
+    slowest, slowest_before = (
+        PlanChecks.of(each.plan).rates_ahead[1].min(initial=1.0) for each in (again, before)
+    )
+    remaining, remaining_before = (
+        least_remaining(each.assessment.budget) for each in (again, before)
+    )
+    return bool(
+        certified(plan, tracking=tracking)
+        and _deepest_sinking(again) <= max(tracking, _deepest_sinking(before), LEAST_SINKING)
+        and slowest >= slowest_before
+        and remaining >= min(0.0, remaining_before)
+        and _warned(again) <= _warned(before)
+    )
+
+
+def _warned(result: PlanningResult) -> set[str]:
+    """Return the checks that warn."""
+    findings = result.assessment.findings
+    return {finding.check for finding in findings if finding.severity == "warning"}
 
 
 def compiled_for(mission: Mission) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from swarm.certification.air import jet_width
+from swarm.certification.air import LEAST_SINKING, jet_width
 from swarm.certification.budget import needed_distances
 from swarm.certification.cable_spans import exempt_length
 from swarm.certification.clearances import PlanChecks
@@ -202,7 +202,7 @@ def _problem_of(plan: Plan) -> tuple[Problem, Fold]:
     swing = swing_limit(plan)
     limits = Limits(
         _WITHIN * mission.vehicles.max_speed, _WITHIN * usable_acceleration(mission),
-        _WITHIN * swing, mission.vehicles.tracking,
+        _WITHIN * swing, max(mission.vehicles.tracking, LEAST_SINKING),
     )  # fmt: skip
     problem = Problem(
         _team(plan, mission.vehicles.tracking, _ROOM, swing),

@@ -497,34 +497,6 @@ finish: unfold
 """
 
 
-@pytest.mark.parametrize("team", ["ardupilot", "px4"])
-def test_vehicles_at_a_strand_that_cannot_be_released_yet_are_not_pulled_below_it(team):
-    """The strand is caught above the rotors of a vehicle: released once these have stopped."""
-    plan = make_plan(parse_mission(BELOW_A_STRAND, "below.yaml"))
-    certified = CertifiedPlan(plan, certify(plan))
-    flight = SteppedSimulation.create(certified, failure_test_fleet(3, team), seed=2)
-    while flight.conductor.clock.time < plan.phase("fold").end - 0.5:
-        flight.step()
-    flight.emulator.inject(Fault.model_validate({"at": flight.now, "kind": "snag", "arc": 1.2}))
-    flight.step()
-    state = flight.conductor.state
-    leave_the_plan(state, Response.LAND_HERE, "for the test")
-    pulled = 0.0
-    while flight.conductor.finished is None:
-        began = flight.now
-        flight.step()
-        truth = flight.emulator.truth()
-        off = np.linalg.norm(truth.position - state.streams.setpoint, axis=1)
-        pulled += (flight.now - began) * bool((off[truth.gripped] > 0.5).any())
-    released = [event.message for event in flight.events if event.kind == "release"]
-    assert released == ["releasing where the cable is caught: vehicles 1, 2"]
-    assert pulled < 2.0
-    truth = flight.emulator.truth()
-    assert len(truth.strikes) <= BY_NAME["snag"].allowed_strikes
-    assert not truth.contacts
-    assert truth.position[:, 2].max() < 0.1
-
-
 def test_a_vehicle_is_held_by_a_caught_strand_where_it_alone_is_off_by_more_than_follow_errors():
     flight = in_fold("px4", 2.0)
     state = flight.conductor.state

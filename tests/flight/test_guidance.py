@@ -160,32 +160,6 @@ def test_a_descent_pauses_and_goes_on_without_a_jump():
     )
 
 
-def test_a_vehicle_rests_in_a_descent_and_goes_up_as_far_as_its_start():
-    guidance, clock = Guidance(MOTION), MissionClock(LIMITS)
-    guidance.descend(LINE + np.array([0.0, 0.0, 10.0]), 0.5, now=0.0)
-    rates = np.ones(len(LINE))
-    for now in np.arange(0.02, 4.01, 0.02):
-        guidance.go_down(float(now), rates)
-    before = guidance.state(clock, 4.0).position
-    guidance.rest(1, before[1, 2] + 0.4)
-    state = guidance.state(clock, 4.0)
-    assert state.position - before == pytest.approx(np.outer(np.eye(len(LINE))[1], [0, 0, 0.4]))
-    assert not state.velocity[1].any()
-    rates[1] = -1.0
-    for now in np.arange(4.02, 12.0, 0.02):
-        last = state
-        guidance.go_down(float(now), rates)
-        state = guidance.state(clock, float(now))
-        change = (state.position - last.position) / 0.02
-        resting = state.position[1, 2] == LINE[1, 2] + 10.0
-        if not resting:
-            assert change == pytest.approx(0.5 * (state.velocity + last.velocity), abs=1e-9)
-    assert resting
-    assert state.velocity[:, 2] == pytest.approx(
-        [-0.5 if k != 1 else 0.0 for k in range(len(LINE))]
-    )
-
-
 def test_a_detour_runs_in_real_time():
     guidance = Guidance(MOTION)
     way = through_states(

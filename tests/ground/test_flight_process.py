@@ -159,6 +159,22 @@ def test_a_process_that_dies_is_a_vehicle_error(tmp_path):
     killer.join()
 
 
+def test_an_input_that_ends_at_the_question_refuses_before_it_is_an_error():
+    """Ctrl-D: without an answer, the flight would wait for the go of another screen."""
+    ours, theirs = multiprocessing.Pipe()
+    theirs.send(("confirm", None))
+
+    def confirm(_audit):
+        raise EOFError
+
+    with ExitStack() as context:
+        keys = _Keys(context, ours, enabled=False)
+        with pytest.raises(EOFError):
+            _serve(ours, FlightCallbacks(confirm=confirm), keys, threading.Event())
+    assert theirs.poll(5.0)
+    assert theirs.recv() == ("answer", False)
+
+
 def test_keys_are_read_from_the_confirmation_on(monkeypatch):
     """The question is answered on a terminal that echoes; after it, single keys are sent."""
     master, slave = pty.openpty()

@@ -144,6 +144,16 @@ def test_the_caller_answers_as_before(asked):
     assert len(ended) == 1
 
 
+def test_the_refusal_of_the_caller_wins_over_the_go_of_a_screen(asked):
+    flight, tasks, answers, _ended = asked
+    flight.conductor.request("go", "Ben (console 2)")
+    answers.put(False)
+    run_on(flight, tasks, lambda: flight.conductor.finished is not None)
+    ending = flight.conductor.finished
+    assert (ending.word, ending.explanation) == ("refused", "not confirmed")
+    assert not any(vehicle.armed for vehicle in flight.conductor.flyers)
+
+
 def test_a_question_whose_caller_has_gone_waits_for_a_screen_and_ends_with_the_last(asked):
     flight, tasks, answers, _ended = asked
     answers.put(None)
