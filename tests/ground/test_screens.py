@@ -211,7 +211,8 @@ class Terminal:
 def test_a_closed_terminal_and_another_that_attaches(tmp_path):
     """The window is closed in mid-air; the team holds; the next terminal resumes, and sees it land."""
     hover = str(ROOT / "missions" / "first-steps" / "hover.yaml")
-    first = Terminal(tmp_path, "fly", hover, "--speed", "8", "--record", "flight")
+    # T is 15 s of real time: a busy machine starts the next terminal within it
+    first = Terminal(tmp_path, "fly", hover, "--speed", "4", "--record", "flight")
     events = tmp_path / "flight" / "events.jsonl"
     deadline = time.monotonic() + 240.0
     while not (events.exists() and "all are airborne" in events.read_text()):
