@@ -75,7 +75,7 @@ def test_machine_code_is_used_again_until_what_it_is_made_of_changes(package):
     then = time.time() - (jit.KEPT - 1) * 86400
     for folder in folders:
         os.utime(folder, (then, then))
-    (package / "swarm" / "aside.py").write_text("STEP = 2\n")  # nobody imports it
+    (package / "swarm" / "aside.py").write_text("STEP = 2\n")  # no module imports it
     assert run(package) == "42"
     assert kept(package) == before
     assert all(time.time() - folder.stat().st_mtime < 86400 for folder in folders), "last use"

@@ -47,7 +47,7 @@ def one_line(text: str) -> str:
 
 
 def test_the_tutorial_shows_what_its_commands_print(printed):
-    """Decimal numbers by 5 %, as on another CPU (tests/golden); wherever lines break."""
+    """Decimal numbers may differ by 5 %, as between processors (tests/golden); line breaks too."""
     shown = {words[0]: output for words, output in with_output(DOCS / "tutorial.md")}
     assert shown.keys() == printed.keys() == {"plan", "dry-run"}
     for command, output in shown.items():

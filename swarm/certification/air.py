@@ -32,7 +32,7 @@ STEP = 0.1
 LEAST_SINKING = 0.01
 """Metres; a smaller sinking is not reported."""
 
-SINKING_RESPONSE = (2.0, 6.0, 4.0)
+_DENOMINATOR = (2.0, 6.0, 4.0)
 """Coefficients of the transfer function from a disturbing acceleration to the vertical error: with
 PX4's defaults MPC_Z_P 1, MPC_Z_VEL_P_ACC 4 and MPC_Z_VEL_I_ACC 2 it is s / (s³ + 4s² + 6s + 2)."""
 
@@ -116,7 +116,7 @@ def sinkings(plan: Plan, least: float) -> list[Sinking]:
 
     One for each vehicle and each time in which it is so low. Air that comes down through a rotor at
     speed w reduces its thrust by w / 2v at the same power, v the induced speed (Leishman 2006,
-    2.13, for a slow climb); here by at most half. The autopilot responds with SINKING_RESPONSE.
+    2.13, for a slow climb); here by at most half. The autopilot responds with _DENOMINATOR.
     Where several jets meet, the largest speed counts.
     """
     held = [phase for phase in plan.phases if phase.cable in {"lifting", "aloft"}]
@@ -157,12 +157,21 @@ def sinkings(plan: Plan, least: float) -> list[Sinking]:
 
 def _error(disturbance: Floats) -> Floats:
     """Vertical errors (k, n), metres, for accelerations (k, n) of a STEP each."""
-    # States: 1, s and s² over the denominator, and the disturbance, constant for a step.
-    rates = np.diag(np.ones(3), 1)
-    rates[2, :3] = -np.array(SINKING_RESPONSE)
-    held = scipy.linalg.expm(STEP * rates)[:3]
+    held = sinking_step(STEP)
     state, error = np.zeros((3, disturbance.shape[1])), np.empty_like(disturbance)
     for k, now in enumerate(disturbance):
         state = held @ np.vstack([state, now])
         error[k] = state[1]
     return error
+
+
+def sinking_step(step: float) -> Floats:
+    """Return the matrix (3, 4) that advances a vehicle's states by ``step`` seconds.
+
+    The states are 1, s and s² over the denominator; the second is the vertical error, metres. The
+    fourth column is for the disturbing acceleration, constant for the step.
+    """
+    rates = np.diag(np.ones(3), 1)
+    rates[2, :3] = -np.array(_DENOMINATOR)
+    held: Floats = scipy.linalg.expm(step * rates)[:3]
+    return held

@@ -21,7 +21,7 @@ from swarm.certification.clearances import PlanChecks, Robustness, certified
 from swarm.mission import Mission
 from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower
 from swarm.planner.repairs import Kept, Unfinished, least_short, repair, slowed_for_budget
-from swarm.planner.shortening import shortened
+from swarm.planner.shortening import shorten
 from swarm.planning import Plan
 from swarm.planning.candidates import candidates
 from swarm.planning.searched_foldings import may_search
@@ -93,16 +93,16 @@ def _with_shorter_fold(result: PlanningResult, progress: Progress | None) -> Pla
     plan = result.plan
     if plan.mission.fold.method != "optimised" or not result.certificate.cleared:
         return result
-    found: list[PlanningResult] = [result]
+    best = result
 
     def accepted(shorter: Plan) -> bool:
+        nonlocal best
         again = PlanningResult(shorter, certify(shorter))
         if again.certificate.cleared and _as_safe(again, result):
-            found.append(again)
-        return found[-1] is again
+            best = again
+        return best is again
 
-    shortened(plan, accepted, progress or (lambda _stage, _share: None))
-    best = min(found, key=lambda each: each.plan.flight_duration)
+    shorten(plan, accepted, progress or (lambda _stage, _share: None))
     before, after = (each.plan.phase("fold").duration for each in (result, best))
     note = f"shortened the fold from {before:.1f} s to {after:.1f} s by one optimisation"
     if best is result:

@@ -24,9 +24,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from swarm.certification.air import JET_DECAY, JET_WIDENING, SINKING_RESPONSE
+from swarm.certification.air import JET_DECAY, JET_WIDENING, sinking_step
 from swarm.geometry.catenary import STANDARD_GRAVITY
-from swarm.geometry.lumped_mass import AIR_DENSITY, NORMAL_DRAG
 from swarm.planner.team_terms import (
     RANGE,
     Derivatives,
@@ -42,6 +41,7 @@ from swarm.planner.team_terms import (
     respond,
     scatter,
 )
+from swarm.planning.shaping import PENDULUM, SETTLING
 from swarm.threads import side_by_side
 
 Floats = npt.NDArray[np.float64]
@@ -59,12 +59,6 @@ _PER_KNOT = 5
 _PIECES = 12
 """Pieces of a strand, of which all pairs are compared."""
 
-_SETTLING = 4.0
-"""Seconds after the fold in which its swing counts."""
-
-_PENDULUM = 0.8
-"""The first lateral mode swings as a pendulum of this share of the sag (Irvine 1981)."""
-
 _SECOND = 3.5
 """Square of the second mode's frequency over the first one's, of a strand that hangs by a third."""
 
@@ -76,7 +70,7 @@ _SMOOTH_PLACE, _SMOOTH_JERK = 1e-3, 1e-3
 
 LOSS_EVERY, _LOSS_RANGE, _LOSS_WEIGHT = 3, 0.3, 0.2
 """Every so many moments a loss of setpoints; metres of slack at which its barriers end, and their
-weight: there are as many poses as vehicles, twice."""
+weight: there are four poses for each vehicle."""
 
 _LEAST_LOST, _LEAST_SUNK = 0.01, 0.02
 """Acceleration, m/s², that is lost in a jet at least, and share of the limit by which a vehicle
@@ -346,14 +340,18 @@ class Problem:
 
     def _planned(self, place: Floats) -> _Moved:
         """Return the poses of the motion itself."""
-        s, n, _ = place.shape
-        at = self.basis
-        splines = Splines(
-            np.ascontiguousarray(np.broadcast_to(at.local[0][:s, None], (s, n, DEGREE + 1))),
-            np.ascontiguousarray(np.broadcast_to(at.first[:s, None], (s, n))),
-        )
+        s = len(place)
         poses = Poses(place, np.arange(s), np.full(s, -1), RANGE, 1.0)
-        return _Moved(poses, splines, np.zeros_like(place))
+        return _Moved(poses, self._splines(0, s), np.zeros_like(place))
+
+    def _splines(self, order: int, moments: int) -> Splines:
+        """Return a derivative of the splines at the first moments, the same for all vehicles."""
+        at, n = self.basis, len(self.folded)
+        shape = moments, n, DEGREE + 1
+        return Splines(
+            np.ascontiguousarray(np.broadcast_to(at.local[order][:moments, None], shape)),
+            np.ascontiguousarray(np.broadcast_to(at.first[:moments, None], shape[:2])),
+        )
 
     def _lost(
         self, control: Floats, place: Floats, velocity: Floats, duration: float, coasting: Coasting
@@ -450,12 +448,7 @@ class Problem:
             curvature[..., None, None] * by[..., :, None] * by[..., None, :]
             - (2.0 / limit**2 * slope)[..., None, None] * np.eye(3)
         ).transpose(1, 0, 2, 3)
-        at = self.basis
-        splines = Splines(
-            np.ascontiguousarray(np.broadcast_to(at.local[order][:, None], (s, n, DEGREE + 1))),
-            np.ascontiguousarray(np.broadcast_to(at.first[:, None], (s, n))),
-        )
-        scatter(splines, scale**2, blocks.reshape(s, 3 * n, 3 * n), slopes.matrix)
+        scatter(self._splines(order, s), scale**2, blocks.reshape(s, 3 * n, 3 * n), slopes.matrix)
         return float(value.sum())
 
     def _swing(
@@ -464,7 +457,7 @@ class Problem:
     ) -> tuple[float, Floats]:  # fmt: skip
         """Return the cost of all strands' swing, and the swings (t, m); add the derivatives."""
         s, n, _ = velocity.shape
-        after = math.ceil(_SETTLING / (duration / (s - 1)))
+        after = math.ceil(SETTLING / (duration / (s - 1)))
         swings = np.empty((s + after, n - 1))
 
         def strand(i: int) -> tuple[float, Floats, Floats]:
@@ -542,7 +535,8 @@ class Problem:
     ) -> tuple[float, float]:
         """Return the cost of sinking in jets, and the largest one, metres; add the derivatives.
 
-        As :func:`swarm.certification.air.sinkings`, for each pair of vehicles alone.
+        As :func:`swarm.certification.air.sinkings`, for each pair of vehicles alone, and with no
+        limit of the lost lift, where its derivative would be 0.
         """
         s, n, _ = place.shape
         step, total, most = duration / (s - 1), 0.0, 0.0
@@ -673,14 +667,6 @@ def below(
     return float(value.sum()), of_slack.T @ slope, rows.T @ rows
 
 
-def sinking_step(step: float) -> Floats:
-    """Return the matrix (3, 4) that advances a sinking vehicle's state by ``step`` seconds."""
-    rates = np.diag(np.ones(3), 1)
-    rates[2, :3] = -np.array(SINKING_RESPONSE)
-    held: Floats = scipy.linalg.expm(step * rates)[:3]
-    return held
-
-
 def responded(held: Floats, lost: Floats) -> Floats:
     """Return how far (t, k) a vehicle sinks that loses accelerations (t, k)."""
     depth = np.empty((len(lost) + 3, lost.shape[1]))
@@ -700,10 +686,5 @@ def logarithmic(slack: Floats) -> tuple[Floats, Floats, Floats]:
 
 def modes(sags: Floats) -> tuple[Floats, Floats]:
     """Return squared frequency and damping of the first mode of strands with sags, metres."""
-    squares = STANDARD_GRAVITY / (_PENDULUM * np.maximum(sags, 0.25))
+    squares = STANDARD_GRAVITY / (PENDULUM * np.maximum(sags, 0.25))
     return squares, 0.06 * np.sqrt(squares) + 0.3
-
-
-def cable_drag(mass_per_length: float, diameter: float) -> float:
-    """Return the drag of cable across the air over its mass and squared speed, 1/m."""
-    return 0.5 * AIR_DENSITY * NORMAL_DRAG * diameter / mass_per_length

@@ -26,7 +26,7 @@ from swarm.certification.stream_loss import StreamLossBound, StreamLossModel
 from swarm.certification.swing_runs import strands_of
 from swarm.errors import Refused
 from swarm.geometry.catenary import MAX_CHORD_RATIO
-from swarm.geometry.lumped_mass import Strands
+from swarm.geometry.lumped_mass import Strands, cable_model
 from swarm.geometry.motion import Motion, through_states
 from swarm.planner.fold_problem import (
     LOSS_EVERY,
@@ -38,7 +38,6 @@ from swarm.planner.fold_problem import (
     Limits,
     Problem,
     Slopes,
-    cable_drag,
     modes,
 )
 from swarm.planner.pacing import swing_limit
@@ -146,11 +145,11 @@ class Shortening:
         return self.problem.shares[::LOSS_EVERY]
 
 
-def shortened(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) -> Plan | None:
-    """Return a plan with a shorter fold, from a line that may be elsewhere to the same knot.
+def shorten(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) -> None:
+    """Look for shorter folds, from a line that may be elsewhere to the same knot.
 
-    ``accepted`` tells whether a plan keeps everything that is required; of those plans it is the
-    one with the shortest flight, None where none was accepted. ``progress`` is called with the name
+    ``accepted`` is called with plans of ever shorter flights, and tells whether one keeps all that
+    is required: the last one that does is the shortest. ``progress`` is called with the name
     of the stage and the share of it that is done.
 
     Raises :class:`swarm.errors.Refused` for more vehicles and a longer fold than can be solved.
@@ -162,7 +161,7 @@ def shortened(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) 
         np.zeros_like(frozen.needs.strands),
         np.full(len(short.loss_shares), _ROOM_AFTER_LOSS),
     )
-    best: Plan | None = None
+    shortest = plan.flight_duration
     for number in range(_ROUNDS):
         progress("shortening the fold", number / _ROUNDS)
         weight = _LATER_WEIGHT if number else _FIRST_WEIGHT
@@ -172,14 +171,12 @@ def shortened(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) 
             break
         needed = _wanted(short, found)
         missed = _missed_after_losses(short, found)
-        shorter = best is None or found.flight_duration < best.flight_duration
-        if shorter and accepted(found):
-            best = found
-        if best is found and not missed.any():
-            break
+        if found.flight_duration < shortest and accepted(found):
+            shortest = found.flight_duration
+            if not missed.any():
+                break
         wanted, room = needed, room + _MORE_AFTER_LOSS * missed
     progress("shortening the fold", 1.0)
-    return best
 
 
 def require_solvable(vehicles: int, duration: float, control_points: int) -> None:
@@ -211,7 +208,7 @@ def _problem_of(plan: Plan) -> tuple[Problem, Fold]:
         last,
         along - 0.5 * along[-1],
         max(_CONTROL_POINTS, round(_POINTS_PER_SECOND * end)),
-        cable_drag(mission.cable.mass_per_length, mission.cable.diameter),
+        cable_model(mission.cable.mass_per_length, mission.cable.diameter).normal_drag,
         float(jet_width(mission, np.zeros(1))[0]),
     )
     places = fold.at(np.linspace(0.0, end, 8 * problem.count))[0]

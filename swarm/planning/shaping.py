@@ -32,10 +32,13 @@ _BEYOND = 1.3
 """Longest period of the cascade over that of the largest sag at rest: sags are larger in the
 fold."""
 
+PENDULUM = 0.8
+"""A strand's lateral mode swings as a pendulum of this share of its sag (Irvine 1981)."""
+
 _SAMPLE = 0.2
 """Duration of the pieces of a shaped motion, seconds: as those of timed paths."""
 
-_SETTLING = 4.0
+SETTLING = 4.0
 """Seconds after the motion in which swing counts, too."""
 
 COMPARED = 0.1
@@ -71,7 +74,7 @@ def shaper_for(sags: Floats) -> Shaper:
 
 
 def _period(sag: float) -> float:
-    return 2.0 * math.pi * math.sqrt(0.8 * sag / STANDARD_GRAVITY)
+    return 2.0 * math.pi * math.sqrt(PENDULUM * sag / STANDARD_GRAVITY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +149,7 @@ def largest_stray(motion: Motion, strands: Sequence[Strands]) -> tuple[Floats, F
     when the motion begins; the moments last until four seconds after its end.
     """
     finest = strands[-1].model
-    times = np.arange(motion.times[0], motion.times[-1] + _SETTLING, finest.step)
+    times = np.arange(motion.times[0], motion.times[-1] + SETTLING, finest.step)
     ends, compared = motion.places(times), steps_between_compared(finest)
     found = np.empty((len(times[::compared]), ends.shape[1] - 1))
 
