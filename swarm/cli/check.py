@@ -1,8 +1,6 @@
 """``swarm check``: check a fleet on the ground."""
 
-import select
 import sys
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -32,6 +30,7 @@ from swarm.cli.inputs import (
     SET,
     YES,
     ProgressLine,
+    confirmed,
     print_json,
     progress_bar,
 )
@@ -68,7 +67,6 @@ from swarm.reports.layout_sheet import layout_sheet
 from swarm.reports.result import drawn
 from swarm.reports.terminal import FlightScreen
 
-_POLL = 0.1
 EMULATED_VEHICLES = 9
 """Vehicles of the built-in emulator without a fleet file and without a mission."""
 
@@ -331,7 +329,7 @@ def _say(progress: ProgressLine, words: str) -> None:
 def _fix_question(
     console: Console, progress: ProgressLine, screens: CheckScreens, *, yes: bool
 ) -> Callable[[Sequence[ParameterResult]], bool]:
-    def confirmed(rows: Sequence[ParameterResult]) -> bool:
+    def confirm(rows: Sequence[ParameterResult]) -> bool:
         with progress.hidden():
             console.print(drawn(parameter_table(rows)))
             if yes:
@@ -339,24 +337,20 @@ def _fix_question(
             question = f"Set these {len(rows)} parameters?"
             if screens.control is not None:
                 return _answered(question, f"sets these {len(rows)} parameters", screens)
-            return sys.stdin.isatty() and click.confirm(question, err=True)
+            return sys.stdin.isatty() and bool(confirmed(question))
 
-    return confirmed
+    return confirm
 
 
 def _answered(question: str, effect: str, screens: CheckScreens) -> bool:
     """Ask on the terminal and on the console; return the first answer."""
-    typed = sys.stdin.isatty()
-    choice = "[y/N, or on the console]" if typed else "The console is asked."
-    click.echo(f"{question} {choice} ", err=True, nl=not typed)
-    with screens.asking(effect) as answer:
-        while (given := answer()) is None:
-            if not typed:
-                time.sleep(_POLL)
-            elif select.select([sys.stdin], [], [], _POLL)[0]:
-                return sys.stdin.readline().strip().lower() in {"y", "yes"}
-    click.echo(f"{'yes' if given else 'no'}: answered by the console", err=True)
-    return given
+    with screens.asking(effect) as asked:
+        typed = confirmed(question, lambda: asked.answer is not None, read=sys.stdin.isatty())
+        if typed is not None:
+            asked.settle(typed)
+    if asked.answer is not typed:
+        click.echo(f"{'yes' if asked.answer else 'no'}: answered by the console", err=True)
+    return bool(asked.answer)
 
 
 def _fly_hop(
@@ -366,7 +360,7 @@ def _fly_hop(
     if not ready:
         return HopResult((Finding("warning", "hop", "not flown: the check is a no-go"),))
     ask = fleet.emulated is None and not given.yes
-    if ask and not (sys.stdin.isatty() and click.confirm(hop_question(flight_plan), err=True)):
+    if ask and not (sys.stdin.isatty() and confirmed(hop_question(flight_plan))):
         return HopResult((Finding("warning", "hop", "not flown: not confirmed"),))
     flight = hop(flight_plan)
     with FlightScreen(flight.plan, Console(quiet=given.as_json)) as screen:

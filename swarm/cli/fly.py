@@ -2,7 +2,7 @@
 
 import re
 import sys
-import time
+import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -35,6 +35,7 @@ from swarm.cli.inputs import (
     VERBOSE,
     YES,
     Address,
+    confirmed,
     refuse_option_conflicts,
 )
 from swarm.cli.planning import load_source, load_training, prepare_flight, require_cleared
@@ -48,7 +49,7 @@ from swarm.flight.setup import LOOSE_ERROR
 from swarm.flight.tlog import Then, left_off
 from swarm.flight.training import require_emulated
 from swarm.front.files import load_fleet
-from swarm.ground.flight_process import AnsweredElsewhere, FlightRequest, fly_in_process
+from swarm.ground.flight_process import FlightRequest, fly_in_process
 from swarm.ground.fly import FlightCallbacks, FlyOptions, Unattended
 from swarm.ground.ladder import require_steps
 from swarm.ground.operator import parse_group
@@ -401,14 +402,16 @@ def _fly(flight: FlightRequest, given: Options, console: Console) -> FlightResul
         opened_console(flight.folder, given.console, given.console_certificate, console),
         ExitStack() as screen,
     ):
+        answered = threading.Event()
         confirm = _confirmation(
-            shown, screen, console, unasked=unasked, warnings=warnings,
-            elsewhere=given.console is not None,
+            shown, screen, console, unasked=unasked, warnings=warnings, answered=answered,
+            read=given.console is None or sys.stdin.isatty(),
         )  # fmt: skip
         return fly_in_process(
             flight,
             FlightCallbacks(
                 confirm=confirm,
+                on_answered=answered.set,
                 on_snapshot=shown.on_snapshot,
                 on_event=shown.on_event,
             ),
@@ -424,35 +427,32 @@ def _confirmation(
     *,
     unasked: bool,
     warnings: Sequence[Finding],
-    elsewhere: bool,
-) -> Callable[[Audit], bool]:
+    answered: threading.Event,
+    read: bool,
+) -> Callable[[Audit], bool | None]:
     """Return the confirmation before arming: a question unless ``unasked``, and a countdown.
 
     Before the question the ``warnings`` of the plan and the findings of the audit are printed. The
-    screen starts after the question, or now. Where a console may answer ``elsewhere``, standard
-    input that is no terminal is not read.
+    screen starts after the question, or now. Without ``read`` only other screens answer. What is
+    ``answered`` needs no answer, nor a countdown: None.
     """
     if unasked:
         screen.enter_context(shown.screen)
 
-    def confirm(audit: Audit) -> bool:
+    def confirm(audit: Audit) -> bool | None:
         if not unasked:
             console.print(drawn(findings_table([*warnings, *in_common(audit.findings)])))
-            try:
-                if elsewhere and not sys.stdin.isatty():
-                    click.echo("Arm and fly? The console is asked.", err=True)
-                    while True:
-                        time.sleep(1.0)
-                if not click.confirm("Arm and fly?", err=True):
-                    return False
-            except AnsweredElsewhere:
-                click.echo("\nanswered by the console", err=True)
-                screen.enter_context(shown.screen)
-                raise
+            answer = confirmed("Arm and fly?", answered.is_set, read=read)
+            if answer is None:
+                click.echo("\nanswered on another screen, or ended", err=True)
+            elif not answer:
+                return False
             screen.enter_context(shown.screen)
         for left in range(COUNTDOWN, 0, -1):
+            if answered.is_set():
+                return None
             shown.screen.countdown(left)
-            time.sleep(1.0)
+            answered.wait(1.0)
         return True
 
     return confirm

@@ -2,6 +2,10 @@
 
 import json
 import os
+import select
+import sys
+import termios
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -141,6 +145,37 @@ def counting_bar(name: str, total: int | None = None) -> Iterator[Callable[..., 
     ) as bar:  # fmt: skip
         task = bar.add_task(name, total=total)
         yield lambda done, of=total: bar.update(task, completed=done, total=of)
+
+
+_POLL = 0.1
+_LONGEST_LINE = 4096
+"""Bytes of a line of a terminal, which hands over no longer ones."""
+
+
+def confirmed(
+    question: str, elsewhere: Callable[[], bool] = lambda: False, *, read: bool = True
+) -> bool | None:
+    """Ask a question on the terminal; return the answer, None once it is answered ``elsewhere``.
+
+    What was typed before is dropped: it answers nothing that was asked after it. Without ``read``
+    only others can answer. Raises :class:`click.Abort` at the end of the input.
+    """
+    choice = "[y/N]:" if read else "The console is asked."
+    click.echo(f"{question} {choice} ", err=True, nl=not read)
+    if read and sys.stdin.isatty():
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+    while not elsewhere():
+        if not read:
+            time.sleep(_POLL)
+        elif select.select([sys.stdin], [], [], _POLL)[0]:
+            typed = os.read(sys.stdin.fileno(), _LONGEST_LINE)
+            if not typed:
+                raise click.Abort
+            answer = typed.decode("utf-8", "replace").partition("\n")[0].strip().lower()
+            if answer in {"y", "yes", "n", "no", ""}:
+                return answer in {"y", "yes"}
+            click.echo(f"Error: expected y or n\n{question} {choice} ", err=True, nl=False)
+    return None
 
 
 def print_json(value: Any) -> None:

@@ -160,6 +160,11 @@ class Conductor:
         return self.state.placement.audit
 
     @property
+    def asked_at(self) -> float | None:
+        """Since when screens may give the go before arming; None before."""
+        return self.state.go_asked
+
+    @property
     def go_given(self) -> float | None:
         """When a screen gave the go; None before."""
         return self.state.go_given
@@ -274,7 +279,7 @@ class Conductor:
 
     def ask_for_go(self) -> None:
         """Let screens give the go before arming, or refuse it."""
-        self.state.go_asked = True
+        self.state.go_asked = self.now
 
     def refuse(self, message: str) -> None:
         """End the flight before it begins: the audit did not pass."""

@@ -127,14 +127,16 @@ def _go(flight: FlightState) -> Availability:
         return Availability(False, "the go is given")
     team = f"arms {flight.setup.plan.vehicles} vehicles and flies"
     words = f"{team}, after {COUNTDOWN} s in which it can be refused"
-    return Availability(flight.go_asked, words if flight.go_asked else "nothing is asked now")
+    asked = flight.go_asked is not None
+    return Availability(asked, words if asked else "nothing is asked now")
 
 
 def _refuse(flight: FlightState) -> Availability:
     if flight.stage not in {Stage.PREPARE, Stage.READY}:
         return Availability(False, "the flight has begun")
-    words = "ends here: no vehicle is armed" if flight.go_asked else "nothing is asked now"
-    return Availability(flight.go_asked, words)
+    asked = flight.go_asked is not None
+    words = "ends here: no vehicle is armed" if asked else "nothing is asked now"
+    return Availability(asked, words)
 
 
 def _do_go(flight: FlightState) -> None:

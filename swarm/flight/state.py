@@ -272,8 +272,8 @@ class FlightState:
     """One flight: its constants, the parts of its state, and the objects that it works with.
 
     ``monitored`` is the live monitor's latest sample (None: there is nothing to monitor),
-    ``next_monitoring`` the time of the next. ``go_asked``: a screen may give the go, ``go_given``
-    when it has.
+    ``next_monitoring`` the time of the next. ``go_asked``: since when a screen may give the
+    go, ``go_given`` when it has.
     """
 
     setup: Setup
@@ -298,7 +298,7 @@ class FlightState:
     contingency: Contingency | None = None
     ending: Ending = field(default_factory=Ending)
     resumption: Resumption = field(default_factory=Resumption)
-    go_asked: bool = False
+    go_asked: float | None = None
     go_given: float | None = None
     _phase: tuple[float, Phase] | None = None
 

@@ -64,9 +64,6 @@ def fly_in_process(
     passed on: the first lands the team after a hold, the second at once. SIGHUP ends this process,
     as a callback that raises ends this function; the flight goes on.
 
-    Where another screen answers the question before the flight, ``confirm`` is ended by
-    :class:`AnsweredElsewhere`, in the main thread.
-
     Raises the errors of :func:`swarm.ground.fly.fly`, and :class:`VehicleError` if the process ends
     before the flight does.
     """
@@ -88,12 +85,11 @@ def fly_in_process(
             with suppress(OSError):
                 pipe.send(request)
             _forward_signals(context, pipe, confirming)
-            end_question = _ends_question(context, confirming)
             keys = _Keys(context, pipe, enabled=read_keys)
             if not request.confirm:
                 keys.start()
             callbacks = callbacks or FlightCallbacks()
-            kind, content = _serve(pipe, callbacks, keys, confirming, end_question)
+            kind, content = _serve(pipe, callbacks, keys, confirming)
         except _FlightEndedError:
             reason = exit_reason(process.wait(5.0))
             raise VehicleError(f"the flight's process ended ({reason})") from None
@@ -115,10 +111,9 @@ def _serve(
     callbacks: FlightCallbacks,
     keys: "_Keys",
     confirming: threading.Event,
-    end_question: Callable[[], None] = lambda: None,
 ) -> tuple[str, Any]:
     """Handle the messages of the flight process until it sends a result or an error."""
-    inbox = _Inbox(pipe, end_question)
+    inbox = _Inbox(pipe, callbacks.on_answered)
     while True:
         while (message := inbox.receive(_POLL)) is None:
             keys.poll()
@@ -134,7 +129,7 @@ def _serve(
                 callbacks.on_event(content)
             case "confirm":
                 try:
-                    answer = _confirm(callbacks.confirm, content, confirming, inbox.answered)
+                    answer = _confirm(callbacks.confirm, content, confirming)
                 except Exception:  # as the end of the input: no answer of another screen counts
                     _send(pipe, "answer", False)
                     raise
@@ -149,28 +144,21 @@ def _send(pipe: Connection, kind: str, content: Any) -> None:
         pipe.send((kind, content))
 
 
-class AnsweredElsewhere(Exception):  # noqa: N818 - no error
-    """Another screen has answered the question before the flight."""
-
-
 def _confirm(
     confirm: Callable[[Audit], bool | None] | None,
     audit: Audit,
     confirming: threading.Event,
-    answered: threading.Event,
 ) -> bool | None:
     if confirm is None:
         return True
     try:
         confirming.set()
-        # before it is set, the signal that ends a question does nothing
-        return None if answered.is_set() else confirm(audit)
-    except KeyboardInterrupt:
+        try:
+            return confirm(audit)
+        finally:
+            confirming.clear()
+    except KeyboardInterrupt:  # the handler raises it once, and only while this is set
         return False
-    except AnsweredElsewhere:
-        return None
-    finally:
-        confirming.clear()
 
 
 def _disconnect(ours: socket.socket) -> None:
@@ -186,13 +174,12 @@ class _FlightEndedError(Exception):
 class _Inbox:
     """Reads messages in a thread as they arrive, so that the flight never waits for its caller.
 
-    Of the snapshots only the newest is kept; all other messages are kept in order. ``answered`` is
-    set, and ``end_question`` called, when another screen has answered the question.
+    Of the snapshots only the newest is kept; all other messages are kept in order. ``on_answered``
+    is called at once, in the thread.
     """
 
-    def __init__(self, pipe: Connection, end_question: Callable[[], None]) -> None:
-        self._pipe, self._end_question = pipe, end_question
-        self.answered = threading.Event()
+    def __init__(self, pipe: Connection, on_answered: Callable[[], None] | None) -> None:
+        self._pipe, self._on_answered = pipe, on_answered
         self._waiting: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         self._newest: list[Any] = []
         self._lock = threading.Lock()
@@ -203,8 +190,8 @@ class _Inbox:
             while True:
                 kind, content = self._pipe.recv()
                 if kind == "answered":
-                    self.answered.set()
-                    self._end_question()
+                    if self._on_answered is not None:
+                        self._on_answered()
                     continue
                 if kind != "snapshot":
                     self._waiting.put((kind, content))
@@ -250,6 +237,7 @@ def _forward_signals(context: ExitStack, pipe: Connection, confirming: threading
     def catch(number: int, _frame: FrameType | None) -> None:
         _send(pipe, "signal", number)
         if confirming.is_set():
+            confirming.clear()
             raise KeyboardInterrupt
 
     def leave(_number: int, _frame: FrameType | None) -> None:
@@ -259,26 +247,6 @@ def _forward_signals(context: ExitStack, pipe: Connection, confirming: threading
     context.enter_context(signal_handlers((signal.SIGINT, signal.SIGTERM), catch))
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
         context.enter_context(signal_handlers((signal.SIGHUP,), leave))
-
-
-def _ends_question(context: ExitStack, confirming: threading.Event) -> Callable[[], None]:
-    """Return a function by which another thread ends a question in this, the main one.
-
-    A signal, as that of Ctrl-C: the question waits for a line of the terminal.
-    """
-
-    def end(_number: int, _frame: FrameType | None) -> None:
-        if confirming.is_set():
-            raise AnsweredElsewhere
-
-    context.enter_context(signal_handlers((signal.SIGUSR1,), end))
-
-    def send() -> None:
-        main = threading.main_thread().ident
-        if signal.getsignal(signal.SIGUSR1) is end and main is not None:
-            signal.pthread_kill(main, signal.SIGUSR1)
-
-    return send
 
 
 class _FlightServer:

@@ -73,7 +73,8 @@ class FlightCallbacks:
 
     - ``confirm``: called once the team has been audited on the ground; False refuses the flight.
       Without it an audit without errors is enough. None: it cannot be asked any more.
-    - ``on_answered``: called when ``confirm`` need not be answered any more.
+    - ``on_answered``: called when ``confirm`` need not be answered any more: a screen has answered,
+      or the flight has ended.
     - ``on_snapshot``: called about ten times a second.
     - ``on_event``: called for every event.
     - ``on_emulator``: called with the process id of the emulator.
@@ -259,7 +260,7 @@ class TickTasks:
     control: ControlSocket | None = None
     unattended: Unattended = "hold"
     on_answered: Callable[[], None] | None = None
-    _asking: bool = False
+    _answered: bool = False
     _checked: bool = False
     _counted: int = COUNTDOWN + 1
     _alone: bool = False
@@ -284,8 +285,9 @@ class TickTasks:
         self._respond_to_absence()
         if conductor.stage == "ready" and conductor.audit is not None:
             self._decide(conductor.audit)
-        if self._asking and (conductor.stage != "ready" or conductor.go_given is not None):
-            self._asking = False
+        answered = conductor.stage != "ready" or conductor.go_given is not None
+        if self.preflight.started and answered and not self._answered:
+            self._answered = True
             if self.on_answered is not None:
                 self.on_answered()
         for event in conductor.events():
@@ -378,7 +380,6 @@ class TickTasks:
             self.control.publish(Checked((*warnings, *audit.findings)))
         preflight = self.preflight
         if preflight.screens_answer and preflight.confirm is not None and audit.passed:
-            self._asking = True
             self.conductor.ask_for_go()
 
     def _count_down(self, since: float) -> Audit | None:

@@ -129,6 +129,10 @@ class RequestHandler(Protocol):
     def now(self) -> float:
         """The time of snapshots and events."""
 
+    @property
+    def asked_at(self) -> float | None:
+        """The time at which the go that is possible now was asked for; None without one."""
+
     def request(self, request: Request, author: str) -> str:
         """Handle a request of an author; return its effect."""
 
@@ -185,11 +189,12 @@ class OperatorConsole:
 
     def _go(self, seen: str) -> str:
         """Give the go, by a screen that shows the present state."""
+        asked = self._flight.asked_at
         try:
             age = self._flight.now - float(seen)
         except ValueError:
             age = STALE
-        if 0.0 <= age < STALE:
+        if 0.0 <= age < STALE and (asked is None or float(seen) >= asked):
             return self._flight.request("go", self.author)
         words = "go: this screen does not show the present state; nothing was armed"
         self._flight.report("operator", f"{words} ({self.author})")

@@ -224,7 +224,8 @@ request = FlightRequest(small_plan(), emulated_fleet(3), folder, options, confir
 folder.mkdir()
 with open_console(folder, Address("127.0.0.1", 0), None) as console:
     print(console.message, flush=True)
-    asked = FlightCallbacks(confirm=lambda _: threading.Event().wait())
+    answered = threading.Event()
+    asked = FlightCallbacks(lambda _: answered.wait() and None, answered.set)
     print(fly_in_process(request, asked).outcome.explanation, flush=True)
 """
 

@@ -100,10 +100,10 @@ def test_a_screen_sees_a_check_and_answers_its_question(tmp_path):
     asked = []
 
     def confirmed(rows):
-        with screens.asking(f"sets {len(rows)} parameters") as answer:
-            while (given := answer()) is None:
+        with screens.asking(f"sets {len(rows)} parameters") as question:
+            while question.answer is None:
                 time.sleep(0.02)
-        return asked.append(given) or given
+        return asked.append(question.answer) or question.answer
 
     def answer(seen):
         return f"go {seen.time}" if seen.available["go"][0] else "hold" if not asked else ""
@@ -140,6 +140,19 @@ def test_a_screen_sees_a_check_and_answers_its_question(tmp_path):
     assert not (tmp_path / "control").exists()
 
 
+def test_an_answer_counts_for_its_own_question_only():
+    """Screen and terminal answer at once: the first counts, and the next question is open."""
+    screens = CheckScreens()
+    with screens.asking("sets these 3 parameters") as first:
+        assert screens.request("go", "Anna") == "sets these 3 parameters"
+        assert not first.settle(False)
+        assert screens.request("go", "Ben") == "nothing is asked now"
+    with screens.asking("sets these 2 parameters") as second:
+        assert second.settle(False)
+        assert not screens.available()["go"][0]
+    assert (first.answer, second.answer) == (True, False)
+
+
 def test_a_screen_ends_a_check(tmp_path):
     screens = CheckScreens(tmp_path / "control")
     screen = Screen(tmp_path, lambda _: "interrupt")
@@ -148,6 +161,14 @@ def test_a_screen_ends_a_check(tmp_path):
     assert "ends the check: no vehicle is armed" in screen.of(str)
     ended = json.loads((tmp_path / "summary.json").read_text())
     assert (ended["outcome"], ended["exit_code"]) == ("interrupted", 130)
+
+
+def test_a_file_for_the_console_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "fleet.json").mkdir()
+    options = CheckOptions(screens=CheckScreens(tmp_path / "control"))
+    with pytest.raises(InputError) as refused:
+        check(emulated_fleet(2), tmp_path, options=options)
+    assert str(refused.value) == f"{tmp_path}/fleet.json: is a directory"
 
 
 def test_a_console_of_a_check_has_no_hop():

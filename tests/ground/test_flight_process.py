@@ -16,7 +16,13 @@ from contextlib import ExitStack
 import pytest
 
 from swarm.errors import InputError, VehicleError
-from swarm.ground.flight_process import FlightRequest, _Keys, _serve, fly_in_process
+from swarm.ground.flight_process import (
+    FlightRequest,
+    _forward_signals,
+    _Keys,
+    _serve,
+    fly_in_process,
+)
 from swarm.ground.fly import FlightCallbacks, FlyOptions
 from swarm.ground.operator import read_screen_line
 from swarm.ground.priority import helper_niceness
@@ -78,15 +84,11 @@ def test_a_flight_that_is_not_confirmed_is_refused(tmp_path):
 
 
 def asking_caller(folder):
-    """The result of a flight whose caller is asked, and answered by a screen; what ended it."""
-    ended = []
+    """The result of a flight whose caller is asked, and answered by a screen."""
+    answered = threading.Event()
 
     def confirm(_audit):
-        try:
-            threading.Event().wait()
-        except BaseException as error:
-            ended.append(type(error).__name__)
-            raise
+        answered.wait()
 
     control = folder / "control"
 
@@ -109,17 +111,14 @@ def asking_caller(folder):
     asking.start()
     options = FlyOptions(speed=8.0, control=control, screens_answer=True)
     request = FlightRequest(FLIGHT_PLAN, emulated_fleet(3), folder, options, confirm=True)
-    result = fly_in_process(request, FlightCallbacks(confirm=confirm))
+    result = fly_in_process(request, FlightCallbacks(confirm, answered.set))
     asking.join()
-    return result, ended
+    return result
 
 
 def test_a_screen_answers_in_the_place_of_the_caller(tmp_path):
-    """In a process of its own: the question is ended by a signal in the main thread."""
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        result, ended = pool.submit(asking_caller, tmp_path / "record").result()
+    result = asking_caller(tmp_path / "record")
     assert result.outcome.word == "done", result.events[-5:]
-    assert ended == ["AnsweredElsewhere"]
     assert any(event.message.startswith("go by Anna: arms 3") for event in result.events)
 
 
@@ -173,6 +172,40 @@ def test_an_input_that_ends_at_the_question_refuses_before_it_is_an_error():
             _serve(ours, FlightCallbacks(confirm=confirm), keys, threading.Event())
     assert theirs.poll(5.0)
     assert theirs.recv() == ("answer", False)
+
+
+class Ending(threading.Event):
+    """Says that a question is asked; a signal arrives at the moment at which it ends."""
+
+    signalled = False
+
+    def clear(self):
+        if not self.signalled:
+            self.signalled = True
+            signal.raise_signal(signal.SIGINT)
+        super().clear()
+
+
+@pytest.mark.parametrize("answer", [True, EOFError])
+def test_a_signal_as_the_question_ends_is_one_answer(answer):
+    ours, theirs = multiprocessing.Pipe()
+    confirming = Ending()
+
+    def confirm(_audit):
+        if answer is EOFError:
+            raise EOFError
+        return answer
+
+    theirs.send(("confirm", None))
+    theirs.send(("result", "the result"))
+    with ExitStack() as context:
+        _forward_signals(context, ours, confirming)
+        keys = _Keys(context, ours, enabled=False)
+        callbacks = FlightCallbacks(confirm=confirm)
+        assert _serve(ours, callbacks, keys, confirming) == ("result", "the result")
+        signal.raise_signal(signal.SIGINT)  # after the question it is passed on alone
+    sent = [theirs.recv() for _ in range(3)]
+    assert sent == [("signal", signal.SIGINT), ("answer", False), ("signal", signal.SIGINT)]
 
 
 def test_keys_are_read_from_the_confirmation_on(monkeypatch):

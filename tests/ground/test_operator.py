@@ -13,11 +13,13 @@ from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 
 from swarm.certification.findings import Finding
 from swarm.certification.monitor import Clearances
+from swarm.cli.inputs import confirmed
 from swarm.errors import VehicleError
 from swarm.flight.snapshot import Checked, Event, Snapshot
 from swarm.ground.operator import (
@@ -55,7 +57,7 @@ class Flight:
         self.requests = []
         self.authors = []
         self.reports = []
-        self.now = 20.0
+        self.now, self.asked_at = 20.0, None
 
     def report(self, kind, message):
         self.reports.append((kind, message))
@@ -113,6 +115,13 @@ def test_a_go_by_a_screen_that_shows_no_present_state_arms_nothing(flight, conso
 def test_a_go_names_the_state_that_was_seen(flight, console):
     assert console.line("go 18.1") == "go it is"
     assert (flight.requests, flight.authors) == (["go"], ["terminal"])
+
+
+def test_a_go_answers_no_question_that_its_screen_had_not_seen(flight, console):
+    flight.asked_at = 19.0
+    assert console.line("go 18.9").startswith("go: this screen does not show the present state")
+    assert console.line("go 19.0") == "go it is"
+    assert flight.requests == ["go"]
 
 
 def test_findings_reach_a_screen_that_comes_later(flight, tmp_path):
@@ -399,6 +408,36 @@ def test_a_line_of_another_version_is_named(line):
 def test_a_socket_that_cannot_be_created_is_named(console, tmp_path):
     with pytest.raises(VehicleError, match=r"control socket .*nowhere"):
         ControlSocket(tmp_path / "nowhere" / "control", lambda: console)
+
+
+@pytest.mark.parametrize(
+    ("typed", "answer"), [(b"y\n", True), (b"\n", False), (b"what\nyes\n", True)]
+)
+def test_what_was_typed_before_a_question_is_no_answer(monkeypatch, capfd, typed, answer):
+    """Lines of before the question, and of before the one after it, are dropped."""
+    master, slave = pty.openpty()
+    polls = []
+
+    def elsewhere():
+        polls.append(None)
+        if len(polls) == 4:
+            os.write(master, typed)
+        return False
+
+    with os.fdopen(slave, "r") as terminal:
+        monkeypatch.setattr(sys, "stdin", terminal)
+        for _ in range(2):
+            polls.clear()
+            os.write(master, b"y\nn\n" if answer else b"y\n")
+            assert confirmed("Arm and fly?", elsewhere) is answer
+            assert len(polls) >= 4
+        assert confirmed("Arm and fly?", lambda: True) is None
+        polls.clear()
+        typed = b"\4"
+        with pytest.raises(click.Abort):
+            confirmed("Arm and fly?", elsewhere)
+        os.close(master)
+    assert capfd.readouterr().err.startswith("Arm and fly? [y/N]: ")
 
 
 def test_keys_are_read_from_a_terminal_only(flight, console):

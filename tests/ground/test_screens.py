@@ -95,7 +95,7 @@ def asked(tmp_path):
         flight.conductor, Record(tmp_path / "record", 0.0), preflight, lambda _: None, caller,
         on_answered=lambda: ended.append(flight.now),
     )  # fmt: skip
-    while not flight.conductor.state.go_asked:
+    while flight.conductor.asked_at is None:
         flight.once()
         tasks.run(flight.now)
     yield flight, tasks, answers, ended

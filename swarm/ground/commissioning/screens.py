@@ -6,16 +6,17 @@ polls the socket.
 """
 
 import json
-import queue
+import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from swarm.certification.findings import Finding, by_system
 from swarm.errors import Interrupted
+from swarm.files import write_bytes, write_text
 from swarm.flight.fleet_listener import FleetListener
 from swarm.flight.requests import Request, request_words
 from swarm.flight.snapshot import Checked, Event
@@ -29,6 +30,23 @@ INTERVAL = 0.1
 """Seconds between two snapshots."""
 _LAST_WORDS = 2.0
 """Seconds in which screens get the result."""
+
+
+@dataclass
+class Question:
+    """What a check asks since the time ``asked``; the first answer counts, whoever gives it."""
+
+    words: str
+    asked: float
+    answer: bool | None = None
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def settle(self, answer: bool) -> bool:
+        """Answer the question; return whether this is the answer that counts."""
+        with self._lock:
+            if self.answer is None:
+                self.answer = answer
+            return self.answer is answer
 
 
 @dataclass
@@ -49,8 +67,7 @@ class CheckScreens:
     _moving: int | None = None
     _wrong: Mapping[int, str] = field(default_factory=dict)
     _waiting: "deque[Event | Checked]" = field(default_factory=deque)
-    _asked: str = ""
-    _answers: "queue.SimpleQueue[bool]" = field(default_factory=queue.SimpleQueue)
+    _question: Question | None = None
     _ended_by: str | None = None
     _next: float = 0.0
 
@@ -98,19 +115,13 @@ class CheckScreens:
         self._waiting.append(Checked(findings, tuple(self.steps)))
 
     @contextmanager
-    def asking(self, words: str) -> Iterator[Callable[[], bool | None]]:
-        """Ask whether to do what the words say; yields a function with the answer, None before."""
-
-        def answer() -> bool | None:
-            with suppress(queue.Empty):
-                return self._answers.get_nowait()
-            return None
-
-        self._asked = words
+    def asking(self, words: str) -> Iterator[Question]:
+        """Ask whether to do what the words say; yields the question, which a screen may settle."""
+        self._question = Question(words, self.now)
         try:
-            yield answer
+            yield self._question
         finally:
-            self._asked = ""
+            self._question = None
 
     # For the loop
 
@@ -160,9 +171,16 @@ class CheckScreens:
         """The time of snapshots and events."""
         return self._listener.now if self._listener is not None else 0.0
 
+    @property
+    def asked_at(self) -> float | None:
+        """The time at which the present question was asked; None without one."""
+        question = self._question
+        return question.asked if question is not None else None
+
     def available(self) -> Mapping[Request, tuple[bool, str]]:
         """Return the requests of a check, with their effects."""
-        asked = self._asked
+        question = self._question
+        asked = question.words if question is not None and question.answer is None else ""
         return {
             "go": (bool(asked), asked or "nothing is asked now"),
             "refuse": (bool(asked), "changes nothing" if asked else "nothing is asked now"),
@@ -171,14 +189,13 @@ class CheckScreens:
 
     def request(self, request: Request, author: str) -> str:
         """Carry out a request; return its effect."""
-        closed = (False, "no vehicle flies in a check")
+        question, closed = self._question, (False, "no vehicle flies in a check")
         possible, words = self.available().get(request, closed)
-        self.report("operator", request_words(request, author, words))
         if possible and request == "interrupt":
             self._ended_by = author
-        elif possible:
-            self._asked = ""
-            self._answers.put(request == "go")
+        elif possible and not (question is not None and question.settle(request == "go")):
+            words = "answered before, or asked no more: changes nothing"
+        self.report("operator", request_words(request, author, words))
         return words
 
     def report(self, kind: str, message: str) -> None:
@@ -187,8 +204,8 @@ class CheckScreens:
 
 
 def _describe(folder: Path, fleet: Fleet, plan: Plan | None) -> None:
-    """Write fleet and plan where the console reads them; raises OSError where it cannot."""
-    (folder / "fleet.json").write_text(fleet.model_dump_json(by_alias=True, indent=1))
+    """Write fleet and plan where the console reads them; raises InputError where it cannot."""
+    write_text(folder / "fleet.json", fleet.model_dump_json(by_alias=True, indent=1))
     if plan is not None:
-        (folder / "plan.json").write_text(json.dumps(plan_document(plan), indent=1))
-        (folder / "motion.npz").write_bytes(plan_motion(plan))
+        write_text(folder / "plan.json", json.dumps(plan_document(plan), indent=1))
+        write_bytes(folder / "motion.npz", plan_motion(plan))
