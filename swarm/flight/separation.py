@@ -3,8 +3,8 @@
 Computed with the plan, for every moment and every vehicle. After the release of the cable, the
 remaining vehicles move radially away from the point where the failed vehicle falls, each in
 proportion to its distance from there, and climb. Therefore no distance between them decreases, and
-no vehicle comes below the falling one. Where obstacles are in the way, they climb or move less, or
-move farther.
+no vehicle comes below the falling one. Where obstacles or the fence are in the way, they climb or
+move less, or, inside the fence, move farther.
 """
 
 from dataclasses import dataclass
@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.certification.contingency_windows import UP, clear_below
+from swarm.certification.limits import inside_fence_by
 from swarm.geometry.motion import Motion, leg
 from swarm.geometry.solids import grown, obstacles_of, planes_between
 from swarm.mission import Mission
@@ -27,8 +28,8 @@ STEP = 0.5
 MOST_SPREAD = 4.0
 """Largest ratio of distances after and before a separation: limits the area that is flown over."""
 _SPREADS = 13
-"""Spreads that are tried where obstacles are in the way, down to 1 and up to MOST_SPREAD: twelfths
-of the way."""
+"""Spreads that are tried where obstacles or the fence are in the way, down to 1 and up to
+MOST_SPREAD: twelfths of the way."""
 SHARE_OF_SPEED = 0.5
 """Share of the vehicles' largest speed and acceleration that a separation uses."""
 
@@ -92,8 +93,8 @@ def separation_motion(
 
     ``centre`` (3,) is the position of the failed vehicle, from which all others move away: by less
     than ``spread``, or by more, or without climbing, where the ways of vehicles that follow
-    setpoints, ``follows`` (n,), or their descents would be too near an obstacle. Where no descent
-    is clear, only the ways are; where no way is, all stay at ``start``.
+    setpoints, ``follows`` (n,), or their descents would be too near an obstacle, or the ways the
+    fence. Where no descent is clear, only the ways are; where no way is, all stay at ``start``.
     """
     nearer = np.linspace(spread, 1.0, _SPREADS)
     farther = np.linspace(spread, MOST_SPREAD, _SPREADS)[1:]
@@ -110,13 +111,25 @@ def separation_motion(
 
 
 def _ways_clear(start: Floats, end: Floats, mission: Mission) -> bool:
-    """Return whether straight ways (n, 3) keep clear of obstacles."""
+    """Return whether straight ways (n, 3) keep clear of obstacles, and inside the fence.
+
+    A vehicle that is nearer to the fence than planned comes no nearer.
+    """
     vehicles = mission.vehicles
     solids = grown(obstacles_of(mission), vehicles.radius, vehicles.grip_offset)
     ways = np.repeat(np.stack([start, end], axis=1), len(solids), axis=0)
     normal, wall = planes_between(np.tile(solids, (len(start), 1)), ways)
     apart = np.einsum("bki,bi->bk", ways, normal).min(axis=1) - wall
-    return bool(np.all(apart >= mission.clearance.obstacle + vehicles.tracking))
+    clear = bool(np.all(apart >= mission.clearance.obstacle + vehicles.tracking))
+    if mission.workspace.fence is None:
+        return clear
+    fence = np.array(mission.workspace.fence)
+    inside, at_start = (
+        inside_fence_by(np.stack([start, to], axis=1), fence) for to in (end, start)
+    )
+    return clear and bool(
+        np.all(inside >= np.minimum(at_start, vehicles.radius + vehicles.tracking))
+    )
 
 
 def _can_descend(end: Floats, mission: Mission) -> bool:

@@ -1,9 +1,12 @@
 """The separation that a plan prepares for the failure of a vehicle in the air."""
 
+import json
+
 import numpy as np
+import pytest
 
 from swarm.flight.separation import MOST_SPREAD, UP, separation_motion, separations
-from tests.network import small_plan
+from tests.network import sideways, small_plan
 
 PLAN = small_plan(vehicles=4).plan
 MISSION = PLAN.mission
@@ -25,6 +28,27 @@ def test_no_distance_decreases_during_a_separation():
         assert (np.diff(distances, axis=0) >= -1e-6).all()
         assert np.allclose(motion.at(times[-1])[0][:, 2], start[:, 2] + UP)
         assert np.allclose(motion.at(times[0])[0], start)
+
+
+@pytest.mark.parametrize("room", [1.6, 0.3])
+@pytest.mark.parametrize(("spread", "pillars"), [(3.0, []), (1.0, [[-2, 3]])])
+def test_a_separation_stays_inside_the_fence(spread, pillars, room):
+    """A vehicle that is nearer than planned comes no nearer; over a pillar, a wider one is tried."""
+    start = np.array([[0.0, 0, 5], [3, 0, 5], [-2, 3, 5], [-2, room - 4.0, 5]])
+    pillar = {"name": "pillar", "shape": "cylinder", "radius": 0.5, "top": 1.0}
+    obstacles = json.dumps([pillar | {"centre": centre} for centre in pillars])
+    free = f"workspace.obstacles={obstacles}"
+    fenced = "workspace.fence=[[-4, -4], [4, -4], [4, 4], [-4, 4]]"
+    reached = []
+    for settings in ((free,), (free, fenced)):
+        mission = sideways(*settings).mission
+        motion = separation_motion(start, start[0], spread, mission, np.arange(4) > 0)
+        end = motion.at(motion.times[-1])[0]
+        assert end[:, 2] == pytest.approx(5.0 + UP)
+        reached.append(np.abs(end[:, :2]).max(axis=1))
+    assert reached[0].max() > 4.0
+    needed = mission.vehicles.radius + mission.vehicles.tracking
+    assert (4.0 - reached[1] >= np.minimum(needed, [4.0, 1.0, 1.0, room]) - 1e-9).all()
 
 
 def test_a_spread_is_computed_for_every_moment_and_vehicle():
