@@ -237,8 +237,11 @@ def _state(folder: Path) -> Snapshot | None:
 
 
 def _complete(folder: Path, console: Console) -> None:
-    """Write the page of a flight whose own terminal is gone, and enter the first test it passes."""
-    if (folder / REPORT).exists():
+    """Write the page of a flight whose own terminal is gone, and enter the first test it passes.
+
+    Another account, with which the flight is shared, only reads its record.
+    """
+    if (folder / REPORT).exists() or not os.access(folder, os.W_OK):
         return
     try:
         verified = verify_record(folder)

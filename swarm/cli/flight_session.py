@@ -13,13 +13,14 @@ from rich.console import Console
 from swarm.certification.assessment import Assessment
 from swarm.cli.inputs import Address, print_json
 from swarm.console.launch import DEFAULT, open_console, parse_address
-from swarm.errors import InputError, Interrupted, Problem, reason
+from swarm.errors import InputError, Interrupted
 from swarm.files import write_text
 from swarm.flight.result import FlightResult
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.ground.corrections import parse_source
 from swarm.ground.ladder import STEPS, enter
 from swarm.ground.mocap import parse_url
+from swarm.ground.record import refuse_used, shared_folder
 from swarm.ground.record_reader import recorded_certificate
 from swarm.ground.record_verification import VerifiedRecord, recorded_result, verify_record
 from swarm.mission.fleet import Fleet
@@ -144,18 +145,18 @@ class Displays:
 
 @contextmanager
 def displays(
-    plan: Plan, folder: Path, view: feeds.Live | None, console: Console
+    plan: Plan, folder: Path, view: feeds.Live | None, console: Console, share: int | None
 ) -> Iterator[Displays]:
     """Create the folder of the record, start Rerun's log in it, and yield the displays.
 
-    Raises :class:`InputError` for a folder that cannot be created, and :class:`Interrupted` where
-    the output is closed: the flight goes on without this screen.
+    The members of the group ``share``, if any, may read them.
+
+    Raises :class:`InputError` for a folder that cannot be created or holds a record, and
+    :class:`Interrupted` where the output is closed: the flight goes on without this screen.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError([Problem(str(folder), reason(error))]) from None
-    viewer = feeds.start(plan, folder / "flight.rrd", view)
+    with shared_folder(folder, share):
+        refuse_used(folder)
+        viewer = feeds.start(plan, folder / "flight.rrd", view)
     try:
         if viewer.message:
             console.print(viewer.message, soft_wrap=True, highlight=False)
@@ -177,6 +178,7 @@ def end_flight(
     *,
     real: bool,
     as_json: bool,
+    share: int | None,
 ) -> None:
     """Write the report of a flight, print its outcome, and exit with its code.
 
@@ -187,7 +189,8 @@ def end_flight(
     report = flight_report(plan, assessment, outcome, result.trace, result.events)
     unwritten = None
     try:
-        write_text(folder / REPORT, report)
+        with shared_folder(folder, share):
+            write_text(folder / REPORT, report)
     except InputError as full:
         unwritten = full
     note_first_test(folder, real=real)

@@ -109,7 +109,7 @@ def resume_flight(
     )
     prepare_flight()
     with (
-        displays(plan, folder, view, console) as shown,
+        displays(plan, folder, view, console, options.share) as shown,
         opened_console(folder, console_address, certificate, console),
         shown.screen,
     ):
@@ -124,7 +124,16 @@ def resume_flight(
     basis = confirmed_basis(plan, result.basis)
     kept = replace(result.adherence, certified=basis.max_tracking_error)
     result = replace(result, basis=basis, adherence=kept)
-    end_flight(context, plan, again.assessment, result, folder, real=False, as_json=as_json)
+    end_flight(
+        context,
+        plan,
+        again.assessment,
+        result,
+        folder,
+        real=False,
+        as_json=as_json,
+        share=options.share,
+    )
 
 
 _FLIGHTS = Path("flights")
@@ -372,7 +381,7 @@ def fly(context: click.Context, /, **options: Any) -> None:
     result = _fly(flight, given, console)
     end_flight(
         context, flight_plan.plan, planned.assessment, result, folder,
-        real=real, as_json=given.as_json,
+        real=real, as_json=given.as_json, share=flight.options.share,
     )  # fmt: skip
 
 
@@ -398,7 +407,7 @@ def _fly(flight: FlightRequest, given: Options, console: Console) -> FlightResul
     prepare_flight()
     warnings = [finding for finding in plan_findings if finding.severity == "warning"]
     with (
-        displays(plan, flight.folder, given.view, console) as shown,
+        displays(plan, flight.folder, given.view, console, flight.options.share) as shown,
         opened_console(flight.folder, given.console, given.console_certificate, console),
         ExitStack() as screen,
     ):

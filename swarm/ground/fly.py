@@ -55,7 +55,7 @@ from swarm.ground.operator import (
     signal_handlers,
 )
 from swarm.ground.priority import run_behind_main_thread
-from swarm.ground.record import Record, share_folder
+from swarm.ground.record import Record, shared_folder
 from swarm.ground.record_reader import recorded_flight
 from swarm.ground.relay import Relay, open_forward
 from swarm.ground.signing_key import signing_with
@@ -471,7 +471,7 @@ def fly(
     with ExitStack() as resources:
         links, borrowed = resources.enter_context(links_of(fleet, options.mocap))
         conductor.team.signing = resources.enter_context(signing_with(fleet.signing_key))
-        share_folder(folder, options.share)
+        resources.enter_context(shared_folder(folder, options.share))
         record = Record(folder, time.time())
         resources.callback(record.close)
         bridge, feeds = _open_feeds(conductor, options, resources, borrowed)

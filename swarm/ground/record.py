@@ -12,6 +12,7 @@ import struct
 import threading
 from collections import deque
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -59,20 +60,41 @@ def control_socket(folder: Path) -> Path | None:
     return path if len(os.fsencode(path)) < LONGEST_SOCKET_PATH else None
 
 
-def share_folder(folder: Path, group: int | None) -> None:
-    """Let the members of a group, if any, read a record and what this process will write into it.
+@contextmanager
+def shared_folder(folder: Path, group: int | None) -> Iterator[None]:
+    """Make the folder of a record; the members of a group, if any, read what is written meanwhile.
 
+    Whatever the umask: they may list the folder, and pass through those that are made above it.
     Raises :class:`InputError` where that is not possible.
     """
-    if group is None:
-        return
     try:
+        above = [each for each in folder.parents if not each.exists()]
         folder.mkdir(parents=True, exist_ok=True)
-        os.chown(folder, -1, group)
-        folder.chmod(folder.stat().st_mode | 0o2050)  # new files belong to the group of the folder
+        if group is not None:
+            for each in above:
+                _give_way(each, group, 0o010)
+            _give_way(folder, group, 0o2050)  # new files belong to the group of the folder
     except OSError as error:
         raise InputError([Problem(str(folder), reason(error))]) from None
-    os.umask(os.umask(0o027) & ~0o040)
+    before = os.umask(0o077)
+    os.umask(before if group is None else before & ~0o050)
+    try:
+        yield
+    finally:
+        os.umask(before)
+
+
+def _give_way(folder: Path, group: int, mode: int) -> None:
+    """Give a folder to a group with these bits, and with what all others may already."""
+    os.chown(folder, -1, group)
+    before = folder.stat().st_mode
+    folder.chmod(before & ~0o070 | mode | (before & 0o007) << 3)
+
+
+def refuse_used(folder: Path) -> None:
+    """Raise :class:`InputError` for a folder that holds a record, before anything is written."""
+    if (folder / "flight.tlog").exists():
+        raise InputError([Problem(str(folder), "holds the record of a flight")])
 
 
 def _timestamp() -> str:

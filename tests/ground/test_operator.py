@@ -31,7 +31,7 @@ from swarm.ground.operator import (
     read_screen_line,
     terminal_keys,
 )
-from swarm.ground.record import Record, share_folder
+from swarm.ground.record import Record, shared_folder
 
 SNAPSHOT = Snapshot(
     time=12.5, mission_time=11.0, rate=0.5, phase="fold", waiting_for=None,
@@ -250,15 +250,21 @@ def test_a_flight_is_shared_with_a_group_that_is_ours():
 def test_the_record_of_a_shared_flight_is_read_by_the_group(tmp_path):
     before = os.umask(0o077)
     try:
-        share_folder(tmp_path / "record", GROUP)
-        record = Record(tmp_path / "record", 0.0)
-        record.close()
+        (tmp_path / "old").mkdir()
+        folder = tmp_path / "old" / "flights" / "record"
+        with shared_folder(folder, GROUP):
+            Record(folder, 0.0).close()
+            (folder / "parameters").mkdir()
+        (folder / "after").touch()
     finally:
         os.umask(before)
-    for path in (tmp_path / "record", tmp_path / "record" / "events.jsonl"):
-        found = path.stat()
-        assert (found.st_gid, bool(found.st_mode & 0o040)) == (GROUP, True)
-        assert not found.st_mode & 0o027
+    modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in (tmp_path / "old").rglob("*")}
+    assert modes == {
+        "flights": 0o710, "record": 0o2750, "events.jsonl": 0o640, "flight.tlog": 0o640,
+        "parameters": 0o2750, "after": 0o600,
+    }  # fmt: skip
+    assert {path.stat().st_gid for path in (tmp_path / "old").rglob("*")} == {GROUP}
+    assert (tmp_path / "old").stat().st_gid != GROUP
 
 
 def test_noise_on_the_socket_is_no_request_and_does_not_end_it(flight, console, tmp_path):

@@ -1,12 +1,16 @@
 """A flight outlives its screens: the terminal that began it, and those that attach later."""
 
+import grp
 import os
 import pty
+import pwd
 import queue
 import re
 import subprocess
 import sys
+import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,10 +19,13 @@ import pytest
 from swarm.ground.fly import Caller, Preflight, TickTasks
 from swarm.ground.record import Record
 from tests.command import run
+from tests.console.test_server import Client
 from tests.network import Network, small_plan
 
 SWARM = Path(sys.executable).with_name("swarm")
 ROOT = Path(__file__).parents[2]
+OTHER = 65534
+"""An account that every machine has, and its group."""
 
 
 @pytest.fixture
@@ -181,14 +188,38 @@ def test_nothing_is_asked_before_the_audit():
     assert flight.conductor.go_given is None
 
 
+PROGRAM = "import sys; from swarm.cli.main import main; sys.argv[0] = 'swarm'; sys.exit(main())"
+
+
+def become_other(groups):
+    os.setgroups(groups)
+    os.setgid(OTHER)
+    os.setuid(OTHER)
+
+
+def other_runs_python():
+    """Whether this is root, and another account may run this interpreter and this program."""
+    process = os.fork()
+    if process == 0:
+        with ExitStack() as stack:
+            stack.callback(os._exit, 1)
+            become_other([])
+            os.execv(sys.executable, [sys.executable, "-c", "import swarm.cli.main"])  # noqa: S606
+    return os.waitpid(process, 0)[1] == 0
+
+
 class Terminal:
     """A pseudo-terminal with a program in it, which loses it at :meth:`close`."""
 
-    def __init__(self, folder, *arguments):
+    def __init__(self, folder, *arguments, umask=0o022, groups=None):
         self.process, self.master = pty.fork()
         if self.process == 0:
+            os.umask(umask)
             os.chdir(folder)
-            os.execv(SWARM, ["swarm", *arguments])  # noqa: S606
+            if groups is not None:
+                become_other(groups)
+                os.environ["HOME"] = str(folder)
+            os.execv(sys.executable, [sys.executable, "-c", PROGRAM, *arguments])  # noqa: S606
         os.set_blocking(self.master, False)
         self.text = ""
 
@@ -201,6 +232,8 @@ class Terminal:
                 self.text += os.read(self.master, 1 << 16).decode("utf-8", "replace")
             except BlockingIOError:
                 time.sleep(0.02)
+            except OSError:  # the program has ended
+                raise AssertionError(self.text[-2000:]) from None
 
     def close(self):
         os.close(self.master)
@@ -241,6 +274,56 @@ def test_a_closed_terminal_and_another_that_attaches(tmp_path):
     assert run("verify", str(tmp_path / "flight"), "--report", str(tmp_path / "again.html"))[0] == 0
     assert (tmp_path / "again.html").read_text() == page
     assert "all vehicles have landed and disarmed" in page
+
+
+@pytest.mark.usefixtures("in_real_time")
+def test_another_account_attaches_to_a_shared_flight():
+    """It holds, resumes and hands over command; the record says which account it was."""
+    if not other_runs_python():
+        pytest.skip("only root becomes another account, which must be able to run this interpreter")
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        own, others = Path(folder) / "own", Path(folder) / "others"
+        for each, mode in ((Path(folder), 0o755), (own, 0o711), (others, 0o777)):
+            each.mkdir(exist_ok=True)
+            each.chmod(mode)
+        hover = str(ROOT / "missions" / "first-steps" / "hover.yaml")
+        share = ("--share", grp.getgrgid(OTHER).gr_name)
+        first = Terminal(own, "fly", hover, "--record", "flights/one", *share, umask=0o077)
+        first.until("all are airborne")
+        os.write(first.master, b"h")
+        first.until("hold by terminal")
+        record = str(own / "flights" / "one")
+        second = Terminal(others, "attach", record, "--console", "127.0.0.1:0", groups=[OTHER])
+        second.until("holding: operator command")
+        os.write(second.master, b"r")
+        account = f"(account {pwd.getpwuid(OTHER).pw_name})"
+        first.until(f"at an attached terminal {account}")
+        url = re.search(r"Console: (http://\S+)", second.text)[1]
+        people = []
+        for name in ("Anna", "Ben"):
+            people.append(Client(stack, url))
+            people[-1].join()
+            people[-1].say(do="name", name=name)
+        anna, ben = people
+        anna.say(do="take")
+        ben.next("people", lambda message: message["holder"] == 1)
+        ben.say(do="take")
+        anna.next("people", lambda message: message["asking"] == 2)
+        anna.say(do="hand over")
+        ben.next("people", lambda message: message["holder"] == 2)
+        ben.say(do="command", command="land")
+        ben.next("answer")
+        second.until("Record: ")
+        first.until("Record: ")
+        for terminal in (first, second):
+            terminal.close()
+        assert "Report: not written" not in second.text
+        events = (own / "flights" / "one" / "events.jsonl").read_text()
+        for words in (
+            f"Ben (console 2) takes command from Anna (console 1) {account}",
+            f"land by Ben (console 2) {account}",
+        ):
+            assert words in events, words
 
 
 @pytest.mark.usefixtures("in_real_time")
@@ -286,3 +369,16 @@ def test_a_record_that_cannot_be_written_is_refused_before_arming(tmp_path):
     )  # fmt: skip
     assert ended.returncode == 2
     assert ended.stderr.splitlines()[-1] == "file/flight: not a directory"
+
+
+def test_a_record_is_not_overwritten_by_another_flight(tmp_path):
+    for name in ("flight.tlog", "flight.rrd"):
+        (tmp_path / name).write_text("kept")
+    hover = str(ROOT / "missions" / "first-steps" / "hover.yaml")
+    done = run("fly", hover, "--record", str(tmp_path))
+    assert (done.returncode, done.stderr.splitlines()[-1]) == (
+        2, f"{tmp_path}: holds the record of a flight"
+    )  # fmt: skip
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
+        "flight.tlog": "kept", "flight.rrd": "kept",
+    }  # fmt: skip
