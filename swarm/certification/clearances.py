@@ -31,7 +31,7 @@ import numpy.typing as npt
 from swarm.certification.air import wind_tilt
 from swarm.certification.branch_and_bound import Boxes
 from swarm.certification.cable_spans import CableSpans, cable_spans
-from swarm.certification.kinds import KINDS, ROOT, Family
+from swarm.certification.kinds import KINDS, ROOT, Family, Kind
 from swarm.certification.minima import (
     Minima,
     boxes_of,
@@ -90,6 +90,9 @@ class Robustness:
 
 
 _DEFAULT = StreamLossModel()
+
+_DISTANCES = tuple(kind for kind in KINDS if kind.unit == "m")
+_LIMITS = tuple(kind for kind in KINDS if kind.unit != "m")
 
 _LATEST = 5
 """Plans whose checks are remembered: the timings of one that the planner compares. Their swings
@@ -309,16 +312,18 @@ def families(
 
 
 def families_of(plan: Plan, *, swinging: bool = True) -> Callable[..., tuple[Family, ...]]:
-    """Return :func:`families` of a plan, as a function of tracking radius and tilt.
+    """Return :func:`families` of a plan, as a function of tracking radius, tilt and kinds.
 
-    What both do not change is computed once.
+    What these do not change is computed once.
     """
     checks = PlanChecks.of(plan)
     tube = checks.certified_tube if swinging else None
 
-    def families(tracking: float, tilt: float = 0.0) -> tuple[Family, ...]:
+    def families(
+        tracking: float, tilt: float = 0.0, kinds: Iterable[Kind] = _DISTANCES
+    ) -> tuple[Family, ...]:
         cable = HeldCable(checks.motion, plan.layout.lengths, tracking, tilt, tube)
-        return _families(plan, checks.spans, cable, "m")
+        return _families(plan, checks.spans, cable, kinds)
 
     return families
 
@@ -330,12 +335,14 @@ def limits(plan: Plan) -> tuple[Family, ...]:
     """
     checks = PlanChecks.of(plan)
     cable = HeldCable(checks.motion, plan.layout.lengths, 0.0)
-    return _families(plan, checks.spans, cable, "m/s", "m/s²")
+    return _families(plan, checks.spans, cable, _LIMITS)
 
 
-def _families(plan: Plan, spans: CableSpans, cable: HeldCable, *units: str) -> tuple[Family, ...]:
-    """Return the non-empty families of the kinds whose margins have one of these units."""
-    every = (kind.family(plan, spans, cable) for kind in KINDS if kind.unit in units)
+def _families(
+    plan: Plan, spans: CableSpans, cable: HeldCable, kinds: Iterable[Kind]
+) -> tuple[Family, ...]:
+    """Return the non-empty families of these kinds."""
+    every = (kind.family(plan, spans, cable) for kind in kinds)
     return tuple(family for family in every if family is not None)
 
 
@@ -423,24 +430,22 @@ def failure_in_wind(plan: Plan, speed: float) -> tuple[str, tuple[str, str], flo
     return None
 
 
-def _windy(plan: Plan) -> Callable[[float], tuple[Family, ...]]:
+def _windy(plan: Plan) -> Callable[..., tuple[Family, ...]]:
     """Return what makes the checks in still air, or those that winds up to a speed change.
 
     Wind does not move vehicles here.
     """
     checks = families_of(plan)
 
-    def at(speed: float) -> tuple[Family, ...]:
-        found = checks(plan.mission.vehicles.tracking, wind_tilt(plan, speed))
-        if speed == 0.0:
-            return found
-        return tuple(family for family in found if family.kind.wind)
+    def at(speed: float, kinds: Iterable[Kind] = _DISTANCES) -> tuple[Family, ...]:
+        changed = kinds if speed == 0.0 else [kind for kind in kinds if kind.wind]
+        return checks(plan.mission.vehicles.tracking, wind_tilt(plan, speed), changed)
 
     return at
 
 
 def _largest(
-    checks: Callable[[float], tuple[Family, ...]],
+    checks: Callable[..., tuple[Family, ...]],
     moments: tuple[Moment, ...],
     shown: float,
     most: float,
@@ -452,26 +457,26 @@ def _largest(
     tight ``moments``, for ever larger values until one does not hold. Then all boxes are searched:
     of the kinds with the fewest coordinates first, and of those where the value fell last.
     """
-    at = cache(lambda steps: checks(shown + steps * step))
     steps = max(math.floor((most - shown) / step), 0)
+    kinds = [family.kind for family in checks(shown + steps * step)]
+    order = list(kinds)
+    at = cache(lambda kind, steps: checks(shown + steps * step, kinds=(kind,))[0])
 
-    def kept(which: int, steps: int, guess: int | None) -> int:
+    def kept(kind: Kind, steps: int, guess: int | None) -> int:
         if steps == 0:
             return 0
-        family = at(steps)[which]
+        family = at(kind, steps)
         boxes, initial = (_tight_boxes(family, moments), 0) if guess else family.doubtful()
         return most_steps(
-            lambda fewer: at(fewer)[which].evaluate, steps, boxes, initial, family.tolerance, guess
+            lambda fewer: at(kind, fewer).evaluate, steps, boxes, initial, family.tolerance, guess
         )
 
-    order = list(range(len(at(steps))))
-
     def guessed(steps: int) -> int:
-        for which in sorted(order):
-            fewer = kept(which, steps, _GUESS)
+        for kind in kinds:
+            fewer = kept(kind, steps, _GUESS)
             if fewer < steps:
-                order.remove(which)
-                order.insert(0, which)
+                order.remove(kind)
+                order.insert(0, kind)
             steps = fewer
         return steps
 
@@ -479,8 +484,8 @@ def _largest(
     while (held := guessed(tried)) == tried < steps:
         tried = min(2 * tried, steps)
     steps = held
-    for which in sorted(order, key=lambda which: len(at(1)[which].others)):
-        steps = kept(which, steps, None)
+    for kind in sorted(order, key=lambda kind: len(at(kind, 1).others)):
+        steps = kept(kind, steps, None)
     return shown + steps * step
 
 
