@@ -10,10 +10,10 @@ with its model.
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import cached_property, lru_cache, reduce
 from itertools import product
 from operator import add
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -76,6 +76,14 @@ EFFECTS: Final = {
 """Effects of the budget by the names of their fields, in words."""
 
 
+_PAIRS = 12
+"""Pairs of strands whose nearest moment is evaluated with all effects: four times as many as a
+report lists."""
+_ROWS = 4 * _PAIRS
+"""Rows whose effects are remembered, those of the last four questions: of 84 that planning the
+figure-eight asks for, 44 differ."""
+
+
 @dataclass(frozen=True)
 class Budget:
     """One row of the budget: the distance of two strands and the effects on it, metres.
@@ -135,16 +143,25 @@ class _Strand:
         length = max(self.length if length is None else length, chord / NEARLY_STRAIGHT)
         return solve_catenaries(self.start, self.end, length, down=down)
 
+    @cached_property
+    def drawn(self) -> Catenaries:
+        """The catenary at the setpoints."""
+        return self.catenary()
+
+    @cached_property
+    def point(self) -> Floats:
+        """The closest point (3,)."""
+        return self.drawn.points_at(self.fraction)
+
     def movement(self, length: float | None = None, down: Floats | Place = STILL_AIR) -> float:
         """Movement of the point along the normal when length or gravity change."""
         step = self.catenary(length, down).points_at(self.fraction)
-        return float((step - self.catenary().points_at(self.fraction)) @ self.normal)
+        return float((step - self.point) @ self.normal)
 
     def displaced(self, first: Floats, last: Floats) -> float:
         """Movement of the point along the normal when the ends are displaced by (3,) each."""
         moved = replace(self, start=self.start + first, end=self.end + last)
-        step = moved.catenary().points_at(self.fraction)
-        return float((step - self.catenary().points_at(self.fraction)) @ self.normal)
+        return float((moved.point - self.point) @ self.normal)
 
     def straightened(self) -> Floats:
         """Movement (3,) of the point under an infinite load there: both parts straight."""
@@ -157,12 +174,11 @@ class _Strand:
         below /= max(float(np.linalg.norm(below)), 1e-9)
         depth = math.sqrt(max(first**2 - foot**2, 0.0))
         point: Floats = self.start + foot * along + depth * below
-        return point - self.catenary().points_at(self.fraction)
+        return point - self.point
 
     def response(self, ends: int = BOTH_ENDS) -> float:
         """Largest movement along the normal per metre of error of the given ends."""
-        one = np.ones(1)
-        drawn = self.catenary()
+        one, drawn = np.ones(1), self.drawn
         strands = solve_catenaries(drawn.start[None], drawn.end[None], drawn.length[None])
         found = linear_response(
             strands, self.fraction * one, np.array([ends]), self.normal[None],
@@ -173,20 +189,58 @@ class _Strand:
 
 def budgets(plan: Plan, moments: Iterable[Moment]) -> tuple[Budget, ...]:
     """Return the rows for moments between two strands, in the given order."""
-    tube = PlanChecks.of(plan).tube
-    swing = tube.pairs if tube else None
+    checks = PlanChecks.of(plan)
+    swing = checks.tube.pairs if checks.tube else None
     return tuple(
-        budget_at(plan, moment.between, moment.time, moment.required, swing)
+        _budget_at(checks, moment.between, moment.time, moment.required, swing)
         for moment in moments
         if kind_of(moment.check).budget
     )
 
 
-def budget_at(
-    plan: Plan, between: tuple[str, str], time: float, required: float, pairs: PairSwing | None
+def _budget_at(
+    checks: PlanChecks,
+    between: tuple[str, str],
+    time: float,
+    required: float,
+    pairs: PairSwing | None,
 ) -> Budget:
-    """Return the row of two segments, by their names, at a mission time."""
-    mission = plan.mission
+    """Return the row of two segments, by their names, at a mission time.
+
+    Swing in flight and swing by tracking errors come together; in a long hold the first has
+    decayed, and the second has grown to what air damps. The larger sum counts.
+    """
+    found = _effects(checks, between, time, required, pairs and pairs.start)
+    if pairs is None:
+        return found.row
+    close = pairs.close
+    near = (close.pairs == found.segments).all(axis=1) & (np.abs(close.times - time) <= BIN)
+    swing = float(pairs.approach[near].max(initial=0.0))
+    if swing + found.moving > found.held:
+        return replace(found.row, swing=swing, excited=found.moving)
+    return replace(found.row, swing=0.0, excited=found.held)
+
+
+class _Effects(NamedTuple):
+    """The row of two ``segments`` but for the swing of close pairs, and the swing that tracking
+    errors excite in flight (``moving``) and in a long hold (``held``), metres."""
+
+    row: Budget
+    segments: list[int]
+    moving: float
+    held: float
+
+
+@lru_cache(maxsize=_ROWS)
+def _effects(
+    checks: PlanChecks, between: tuple[str, str], time: float, required: float, since: float | None
+) -> _Effects:
+    """Return the effects of which repairs ask again, with wider and with other swings.
+
+    Excited swing counts ``since`` a time. Without one, the swing of close pairs is not known:
+    strands lean and stop.
+    """
+    plan, mission = checks.plan, checks.plan.mission
     segments = [int(name.split()[1]) - 1 for name in between]
     place, _, acceleration = plan.motion.at(time)
     available, strands = _closest(plan, place, segments)
@@ -197,8 +251,8 @@ def budget_at(
     else:
         total = radius * sum(strand.response() for strand in strands)
     bodily = min(2.0 * radius, total)
-    swing, excited = _swing(plan, time, acceleration, strands, pairs)
-    return Budget(
+    excited = [] if since is None else [_excited(plan, time, strand, since) for strand in strands]
+    row = Budget(
         between=between,
         time=time,
         available=available,
@@ -209,12 +263,17 @@ def budget_at(
             for strand in strands
         ),
         grip=_grip(plan, acceleration, strands),
-        swing=swing,
-        excited=excited,
+        swing=_sway(plan, acceleration, strands) if since is None else 0.0,
+        excited=0.0,
         wind=_wind(plan, strands),
         wash=_wash(plan, place, strands),
         required=required,
     )
+    moving, held = (
+        DEVIATIONS * math.sqrt(sum(getattr(one, name) for one in excited))
+        for name in ("moving", "held")
+    )
+    return _Effects(row, segments, moving, held)
 
 
 def _grip(plan: Plan, acceleration: Floats, strands: tuple["_Strand", "_Strand"]) -> float:
@@ -229,33 +288,14 @@ def _grip(plan: Plan, acceleration: Floats, strands: tuple["_Strand", "_Strand"]
     return max(0.0, other - one)
 
 
-def _swing(
-    plan: Plan,
-    time: float,
-    acceleration: Floats,
-    strands: tuple["_Strand", "_Strand"],
-    pairs: PairSwing | None,
-) -> tuple[float, float]:
-    """Approach by swing, and by the swing that tracking errors excite.
-
-    In flight both come together; in a long hold the first has decayed, and the second has grown to
-    what air damps. The larger sum counts. Where it is not known strands lean and stop.
-    """
-    if pairs is None:
-        sway = sum(
-            abs(strand.movement(down=effective_gravity(0.5 * (by[0] + by[1]))))
-            for strand in strands
-            for by in [acceleration[strand.segment : strand.segment + 2]]
-        )
-        return sway + _stop(strands, plan.mission.vehicles.braking_acceleration), 0.0
-    close = pairs.close
-    near = (close.pairs == [strand.segment for strand in strands]).all(axis=1)
-    near &= np.abs(close.times - time) <= BIN
-    swing = float(pairs.approach[near].max(initial=0.0))
-    found = [_excited(plan, time, strand, pairs.start) for strand in strands]
-    moving = DEVIATIONS * math.sqrt(sum(one.moving for one in found))
-    held = DEVIATIONS * math.sqrt(sum(one.held for one in found))
-    return (swing, moving) if swing + moving > held else (0.0, held)
+def _sway(plan: Plan, acceleration: Floats, strands: tuple["_Strand", "_Strand"]) -> float:
+    """Approach of strands that lean and stop."""
+    sway = sum(
+        abs(strand.movement(down=effective_gravity(0.5 * (by[0] + by[1]))))
+        for strand in strands
+        for by in [acceleration[strand.segment : strand.segment + 2]]
+    )
+    return sway + _stop(strands, plan.mission.vehicles.braking_acceleration)
 
 
 def _excited(plan: Plan, time: float, strand: "_Strand", since: float) -> Variances:
@@ -362,8 +402,7 @@ def _pressed(plan: Plan, place: Floats, strand: _Strand) -> Floats:
     both of their segments begin in the same jet.
     """
     mission = plan.mission
-    drawn = strand.catenary()
-    spot = drawn.points_at(strand.fraction)
+    drawn, spot = strand.drawn, strand.point
     below = place[:, 2] + mission.vehicles.grip_offset - spot[2]
     aside = np.hypot(place[:, 0] - spot[0], place[:, 1] - spot[1])
     speed = jet_speed(mission, below, aside)
@@ -376,11 +415,6 @@ def _pressed(plan: Plan, place: Floats, strand: _Strand) -> Floats:
     farthest = strand.straightened()
     reached = min(1.0, deflection / max(float(np.linalg.norm(farthest)), 1e-9))
     return reached * farthest
-
-
-_PAIRS = 12
-"""Pairs of strands whose nearest moment is evaluated with all effects: four times as many as a
-report lists."""
 
 
 def smallest_budgets(plan: Plan, swing: PairSwing) -> tuple[Budget, ...]:
@@ -446,17 +480,9 @@ def _rows(plan: Plan, swing: PairSwing, left: Floats) -> list[tuple[int, Budget]
         chosen.setdefault((i, j), row)
         if len(chosen) == _PAIRS:
             break
-    required = plan.mission.clearance.cable
+    checks, required = PlanChecks.of(plan), plan.mission.clearance.cable
+    times = swing.close.times.tolist()
     return [
-        (
-            row,
-            budget_at(
-                plan,
-                (segment_name(i), segment_name(j)),
-                float(swing.close.times[row]),
-                required,
-                swing,
-            ),
-        )
+        (row, _budget_at(checks, (segment_name(i), segment_name(j)), times[row], required, swing))
         for (i, j), row in chosen.items()
     ]
