@@ -1,6 +1,6 @@
 """The printed lay-out sheet: cable to cut, marks and pads to measure before a flight."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,6 +12,7 @@ from swarm.flight.parameters import plan_requirements, rules
 from swarm.mavlink.frames import AutopilotName
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan, digest
+from swarm.reports import scene
 from swarm.reports.formatting import certified, certified_wind
 from swarm.reports.pages import render
 from swarm.reports.result import Table
@@ -52,13 +53,14 @@ class LayLine:
 class LayoutMap:
     """A drawing of pads and grips, true to scale and north up, in pixels from the top left.
 
-    ``pairs`` has the pad and the grip of every vehicle; the scale bar is ``bar_width`` pixels for
-    ``bar_length`` metres.
+    ``pairs`` has the pad and the grip of every vehicle, ``bounds`` the lines of the fence and of
+    each obstacle by name; the scale bar is ``bar_width`` pixels for ``bar_length`` metres.
     """
 
     width: float
     height: float
     pairs: tuple[tuple[Point, Point], ...]
+    bounds: Mapping[str, Sequence[Sequence[Point]]]
     bar_width: float
     bar_length: float
 
@@ -94,7 +96,7 @@ def layout_sheet(
         digest=digest(plan),
         vehicles=_vehicles_table(plan, _labels(plan, fleet, systems), pads, grips),
         line=_lay_line(grips) if cable else None,
-        map=_map(pads, grips),
+        map=_map(pads, grips, scene.workspace_lines(plan)),
         parameters=None if fleet is None else _parameters(plan, fleet),
         checklist=Table(("check", "done"), [(item, "☐") for item in _CHECKLIST]),
     )
@@ -184,8 +186,15 @@ def _parameters(plan: Plan, fleet: Fleet) -> list[tuple[str, Table]]:
     ]
 
 
-def _map(pads: Floats, grips: Floats) -> LayoutMap:
+def _map(pads: Floats, grips: Floats, lines: Mapping[str, list[Floats]]) -> LayoutMap:
+    """Return the drawing; it is widened for what bounds the workspace within its own width."""
     points = np.concatenate([pads, grips])[:, :2]
+    low, high = points.min(axis=0), points.max(axis=0)
+    span = max(float((high - low).max()), 1.0)
+    for strips in lines.values():
+        corners = np.vstack(strips)[:, :2]
+        if np.all(corners >= low - span) and np.all(corners <= high + span):
+            points = np.concatenate([points, corners])
     low, high = points.min(axis=0), points.max(axis=0)
     extent = np.maximum(high - low, 1.0)
     scale = (_MAP_WIDTH - 2.0 * _MAP_MARGIN) / float(extent.max())
@@ -197,4 +206,5 @@ def _map(pads: Floats, grips: Floats) -> LayoutMap:
 
     bar_length = float(10.0 ** np.floor(np.log10(float(extent.max()) / 3.0)))
     pairs = tuple((pixel(pad), pixel(grip)) for pad, grip in zip(pads, grips, strict=True))
-    return LayoutMap(width, height, pairs, bar_length * scale, bar_length)
+    bounds = {name: [[pixel(p) for p in strip] for strip in lines[name]] for name in lines}
+    return LayoutMap(width, height, pairs, bounds, bar_length * scale, bar_length)

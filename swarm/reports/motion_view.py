@@ -204,6 +204,11 @@ def _data(plan: Plan, times: Floats, spans: tuple[Span, ...], places: Floats, ca
         "radius": plan.mission.vehicles.radius,
         "grip": plan.mission.vehicles.grip_offset,
         "cable": 0.5 * plan.mission.cable.diameter,
+        "lines": [
+            strip.round(3).tolist()
+            for strips in scene.workspace_lines(plan).values()
+            for strip in strips
+        ],
         "colours": along_colours(cable.shape[1]).round(3).tolist(),
         "shown": max((span.end for span in spans if span.name == "fold"), default=times[-1]),
         "begin": min(

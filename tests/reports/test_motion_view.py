@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from swarm.mission.mission import CylinderObstacle
 from swarm.planning.cable_shape import cable_shape
-from swarm.reports import motion_view
+from swarm.reports import motion_view, scene
 from swarm.reports.motion_view import MAX_BYTES, flown_motion, planned_motion
+from tests.reports.synthetic import trefoil_plan
 from tests.reports.test_report import (
     BROWSER,
     PLAN,
@@ -49,6 +51,18 @@ def test_the_frames_of_a_plan_are_its_motion_and_its_catenaries() -> None:
     assert data["unit"] < 0.001  # a millimetre in this field
     assert data["shown"] == PLAN.phase("fold").end
     assert [span.name for span in view.spans] == [phase.name for phase in PLAN.phases]
+
+
+def test_the_view_has_the_edges_of_fence_and_obstacles() -> None:
+    assert json.loads(planned_motion(PLAN, assessment()).data)["lines"] == []
+    plan = trefoil_plan(fence=((-20.0, -20.0), (20.0, -20.0), (20.0, 20.0)))
+    post = CylinderObstacle(name="post", shape="cylinder", centre=(0, 9), radius=0.5, top=4)
+    workspace = plan.mission.workspace.model_copy(update={"obstacles": (post,)})
+    plan = replace(plan, mission=plan.mission.model_copy(update={"workspace": workspace}))
+    edges = [strip for strips in scene.workspace_lines(plan).values() for strip in strips]
+    drawn = json.loads(planned_motion(plan, assessment()).data)["lines"]
+    assert [len(strip) for strip in drawn] == [len(strip) for strip in edges]
+    np.testing.assert_allclose(np.vstack(drawn), np.vstack(edges), atol=0.0006)
 
 
 def test_the_moments_of_a_plan_have_their_times_and_objects() -> None:

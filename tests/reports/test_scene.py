@@ -1,3 +1,5 @@
+import re
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from swarm.mission.mission import BoxObstacle, CylinderObstacle, HalfSpaceObstacle
 from swarm.planning.cable_shape import laid_grip_points
 from swarm.reports import scene
+from swarm.reports.layout_sheet import layout_sheet
 from tests.reports.synthetic import CROSSINGS, snapshot_at, trefoil_plan
 
 PLAN = trefoil_plan(fence=((-20.0, -20.0), (20.0, -20.0), (20.0, 20.0)))
@@ -126,6 +129,10 @@ def test_fence_has_floor_ceiling_and_posts() -> None:
     assert scene.workspace_lines(trefoil_plan()) == {}
 
 
+def _numbers(rows: Sequence[Sequence[str]]) -> np.ndarray:
+    return np.array([[float(number) for number in row] for row in rows])
+
+
 def test_obstacles_are_drawn_on_their_surfaces() -> None:
     plan = trefoil_plan()
     box = BoxObstacle(name="table", shape="box", centre=(3.0, 1.0), size=(2.0, 1.0), turn=30, top=1)
@@ -151,6 +158,18 @@ def test_obstacles_are_drawn_on_their_surfaces() -> None:
     np.testing.assert_allclose(np.hypot(ring[:, 0], ring[:, 1] - 9.0), 0.5)
     (plane,) = found["obstacle net"]
     np.testing.assert_allclose((plane - [0, -9, 0]) @ [0, 2, -1], 0.0, atol=1e-9)
+    # the sheet has them too, true to scale: from pad to pad as from post to pad
+    bounded = replace(plan, mission=mission)
+    sheet = layout_sheet(bounded)
+    names = re.findall(r">(obstacle \w+)</text>", sheet)
+    assert names == list(found)
+    pads = _numbers(re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)" r="13"', sheet))
+    there = plan.motion.at(0.0)[0][:, :2]
+    scale = np.hypot(*(pads[-1] - pads[0])) / np.hypot(*(there[-1] - there[0]))
+    (first, *_) = re.findall(r'points="([^"]*)"[^>]*stroke-dasharray="7 4"', sheet)
+    corner = _numbers([point.split(",") for point in first.split()])[0]
+    to_corner = (floor[0, :2] - there[0]) * [scale, -scale]
+    np.testing.assert_allclose(corner - pads[0], to_corner, atol=0.2)
     places = plan.motion.at(plan.motion.times)[0].reshape(-1, 3)
     assert (plane >= [*places.min(axis=0)[:2] - scene.AROUND - 1e-9, -1e-9]).all()
     assert (plane <= places.max(axis=0) + scene.AROUND + 1e-9).all()

@@ -221,8 +221,8 @@ function spaceView(canvas, labels) {
     const distance = (1.05 * reach * Math.max(1, 1 / aspect)) / Math.tan(FIELD_OF_VIEW / 2) / zoom;
     const { back, matrix } = camera(target, yaw, pitch, distance, aspect);
     const field = Math.max(...plan.high.map(Math.abs), ...plan.low.map(Math.abs)) + 2;
-    paint(matrix, unit(add(back, [0, 0, 0.6])), floorLines(field, field > 15 ? 2 : 1),
-      scene(data, { vehicles, strands }, null, distance));
+    paint(matrix, unit(add(back, [0, 0, 0.6])), fieldLines(field, field > 15 ? 2 : 1,
+      Object.values(plan.lines).flat()), scene(data, { vehicles, strands }, null, distance));
     const pen = labels.getContext("2d");
     pen.font = `600 ${13 * ratio}px system-ui, sans-serif`;
     pen.textAlign = "center";

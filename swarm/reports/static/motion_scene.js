@@ -3,6 +3,7 @@
 "use strict";
 
 const ALARM = [0.75, 0.19, 0.19];
+const EDGE = [0.78, 0.35, 0.24];
 // Colours of a light page; the console replaces them in a dark scheme.
 let INK = [0.19, 0.22, 0.28];
 let ROTOR = [0.45, 0.5, 0.58];
@@ -147,7 +148,8 @@ function scene(data, frame, highlighted, distance) {
   return corners;
 }
 
-function floorLines(reach, spacing) {
+// The grid of the floor, and the edges of fence and obstacles, as strips.
+function fieldLines(reach, spacing, strips) {
   const half = Math.ceil(reach / spacing);
   const colour = mix(FAINT, PAPER, 0.4);
   const corners = [];
@@ -157,5 +159,8 @@ function floorLines(reach, spacing) {
       corners.push(x, y, 0, 0, 0, 1, ...colour);
     }
   }
+  for (const strip of strips) strip.slice(1).forEach((end, k) => {
+    for (const p of [strip[k], end]) corners.push(...p, 0, 0, 1, ...EDGE);
+  });
   return new Float32Array(corners);
 }

@@ -19,7 +19,7 @@ function motionView(section) {
   const frameAt = frames(data);
   const field = data.unit * 32767 + Math.hypot(data.centre[0], data.centre[1]);
   const spacing = field > 40 ? 5 : field > 15 ? 2 : 1; // metres; wide fields would look grey
-  const lines = floorLines(field, spacing);
+  const lines = fieldLines(field, spacing, data.lines);
   const home = { yaw: -0.5, pitch: 0.62, zoom: 1 };
   let { yaw, pitch, zoom } = home;
   let time = data.shown, playing = false, touched = false;
