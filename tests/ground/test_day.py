@@ -1,10 +1,14 @@
-"""The morning of a day at the field, from the box of vehicles to the first cable, as a user does it.
+"""A day at the field, from the box of vehicles to the debrief, as a user does it.
 
-Three emulated vehicles in a process of their own, on a link, so that the programs take them for
-real ones: everything is in real time, and takes minutes.
+In the morning three emulated vehicles in a process of their own, on a link, so that the programs
+take them for real ones; in the afternoon the nine of the built-in emulator. Everything is in real
+time, and takes minutes.
 """
 
+import getpass
 import json
+import os
+import re
 import subprocess
 import time
 from contextlib import ExitStack, contextmanager
@@ -15,9 +19,12 @@ from swarm.flight.world import emulated_world
 from swarm.front.plan_files import certified_plan_file
 from swarm.mission.fleet import parse_fleet
 from tests.command import run
+from tests.console.test_server import Client
 from tests.ground.test_corrections import rtcm
 from tests.ground.test_mocap_bridge import SWARM, free_port
+from tests.ground.test_screens import Terminal
 from tests.network import small_plan
+from tests.view.test_foxglove_sink import decoded
 
 pytestmark = [pytest.mark.full, pytest.mark.usefixtures("in_real_time")]
 
@@ -175,3 +182,53 @@ def test_outdoors_corrections_and_the_fence(tmp_path):
 
 def messages(report, check):
     return [row["message"] for row in report["findings"] if row["check"] == check]
+
+
+@pytest.mark.usefixtures("state")
+def test_the_afternoon_from_the_console_with_its_terminal_closed(tmp_path):
+    record = str(tmp_path / "flight")
+    console = ("--console", "127.0.0.1:0")
+    with ExitStack() as stack:
+        first = Terminal(tmp_path, "fly", "overhand", "--speed", "2", "--record", record, *console)
+        first.until("starting: ", PATIENCE)
+        anna = Client(stack, re.search(r"Console: (http://\S+)", first.text)[1])
+        anna.join()
+        anna.say(do="name", name="Anna")
+        anna.say(do="take")
+
+        def command(name, shows):
+            anna.say(do="command", command=name)
+            return anna.next("answer"), anna.next("state", shows)
+
+        anna.next("state", lambda state: state["phase"] == "fold" and state["rate"] > 0.0)
+        first.close()
+        command("hold", lambda state: state["wait"] and state["rate"] == 0.0)
+        _, held = command("resume", lambda state: state["rate"] > 0.0)
+        assert len(held["rows"]) == 9
+        command("rewind", lambda state: state["rate"] < 0.0)
+        command("resume", lambda state: state["rate"] > 0.0)
+        second = Terminal(tmp_path, "attach", record)
+        second.until("resume by Anna")
+        os.write(second.master, b"h")
+        anna.next("state", lambda state: state["wait"] and state["rate"] == 0.0)
+        command("resume", lambda state: state["rate"] > 0.0)
+        command("abort", lambda state: state["phase"] == "contingency")
+        anna.next("ended")
+        second.until("Record: ")
+        second.close()
+    events = (tmp_path / "flight" / "events.jsonl").read_text()
+    assert f"hold by {getpass.getuser()} at an attached terminal: " in events
+    assert "the last screen is gone" not in events
+    verified = run("verify", record, "--json")
+    report = json.loads(verified.stdout)
+    assert (verified.returncode, report["knot"]["as_planned"]) == (1, False)
+    assert report["adherence"]["within"]
+    for kind, row in report["clearance"].items():
+        assert row["flown"] is None or row["flown"]["distance"] >= row["flown"]["required"], kind
+    debrief = tmp_path / "flight.mcap"
+    assert run("export", record, "--output", str(debrief)).returncode == 0
+    shown = [event.message for _, event in decoded(debrief)["/events"]]
+    for word in ("hold", "resume", "rewind", "abort"):
+        asked = f"{word} by Anna (console 1): "
+        assert asked in events
+        assert any(asked in message for message in shown), shown
