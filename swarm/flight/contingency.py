@@ -23,6 +23,7 @@ from swarm.flight.separation import separation_motion, spread_here
 from swarm.flight.stages import Stage, Step, StepTrigger, Trigger
 from swarm.flight.state import Contingency, FlightState
 from swarm.flight.streams import continue_rejoining, outside
+from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.mavlink.vehicle import Vehicle
 
 LONGEST_HOVER, DESCENT_SPEED = 5.0, 0.2
@@ -452,7 +453,7 @@ def _release_caught(flight: FlightState, caught: Iterable[int]) -> bool:
     neighbours cannot release, it does so alone. Return whether there is such a place.
     """
     n = len(flight.roster.vehicles)
-    held = [k for k in caught if flight.roster.vehicles[k].gripped]
+    held = _releasable(flight, caught)
     beside = [j for k in held for j in (k, k - 1, k + 1) if 0 <= j < n]
     for order in (list(dict.fromkeys(beside)), held):
         if order and may_release_at(flight, order):
@@ -462,6 +463,12 @@ def _release_caught(flight: FlightState, caught: Iterable[int]) -> bool:
             _open_grippers(flight, order)
             return True
     return False
+
+
+def _releasable(flight: FlightState, vehicles: Iterable[int]) -> list[int]:
+    """Return which vehicles hold the cable and were not commanded to release before."""
+    opening = contingency_of(flight).opening
+    return [k for k in vehicles if flight.roster.vehicles[k].gripped and k not in opening]
 
 
 def _release_fallen(flight: FlightState) -> None:
@@ -589,7 +596,7 @@ def _descend(flight: FlightState) -> None:
 
     For a vehicle that stays above, or whose rotors still turn on the ground below cable, the
     descent pauses for T; then the cable is released for the first if it may. Where a caught strand
-    holds a vehicle back, it is released as soon as it may.
+    holds a vehicle back, it is released as soon as it may; until then, those below it descend.
     """
     contingency, height = contingency_of(flight), flight.streams.setpoint[:, 2]
     alone = {*contingency.alone, *(k for k in not_following(flight) if height[k] > TOUCHDOWN)}
@@ -598,15 +605,17 @@ def _descend(flight: FlightState) -> None:
     patient = contingency.waited <= longest
     if above is not None and not patient:
         release_if_open(flight)
-    elif flight.attached and (held := held_by_cable(flight)):
-        _release_held(flight, held)
+    elif _note_caught(flight):
+        _release_held(flight, sorted(contingency.caught))
     if contingency.step is not Step.DESCEND:
         return
     turning = turning_below_cable(flight) if flight.attached and above is None else []
-    waits = patient and (above is not None or bool(turning))
-    if waits:
-        _note_waiting(flight, above, turning)
-    flight.guidance.go_down(flight.timing.moving, 0.0 if waits else 1.0)
+    waits, descends = above is not None or bool(turning), np.ones(len(height), dtype=bool)
+    if patient and (waits or contingency.caught):
+        descends = _below_caught(flight) & ~np.bool_(waits)
+        if not descends[height > TOUCHDOWN].any():
+            _note_waiting(flight, above, turning)
+    flight.guidance.go_down(flight.timing.moving, descends.astype(float))
     for k, vehicle in enumerate(flight.roster.vehicles):
         if not vehicle.armed:
             flight.streams.switch(k, on=False)
@@ -620,6 +629,56 @@ def _release_held(flight: FlightState, held: Sequence[int]) -> None:
     release_if_open(flight)
     if contingency_of(flight).step is Step.DESCEND:
         _release_caught(flight, held)
+
+
+def _note_caught(flight: FlightState) -> bool:
+    """Take note of the vehicles that a strand holds back; return whether there are any.
+
+    Commanded farther down, they would be pulled below the place where it is caught, and the strand
+    through their rotors: they rest where they hang.
+    """
+    contingency = contingency_of(flight)
+    held = {*contingency.caught, *held_by_cable(flight)} if flight.attached else ()
+    caught = frozenset(() if _any_flies_alone(flight) else _releasable(flight, held))
+    for k in caught - contingency.caught:
+        flight.guidance.rest(k, float(flight.observation.position[k, 2]))
+    contingency.caught = caught
+    return bool(caught)
+
+
+def _below_caught(flight: FlightState) -> npt.NDArray[np.bool_]:
+    """Return which vehicles descend (n,) so that a caught strand can be released; all as a resort.
+
+    Those whose turning rotors are below it, whatever is below these and their strands, and those
+    that chords to these pull down: all others keep their places, relative to it. Where these would
+    be the vehicles at the strand themselves, all descend.
+    """
+    plan, place = flight.setup.plan, flight.streams.setpoint
+    above, caught = _above_rotors(flight), sorted(contingency_of(flight).caught)
+    aside = np.linalg.norm(place[:, None, :2] - place[:, :2], axis=-1)
+    near = aside < plan.mission.clearance.vehicle + 2.0 * plan.mission.vehicles.tracking
+    below = near & (place[:, None, 2] > place[:, 2])
+    chord = np.linalg.norm(np.diff(place, axis=0), axis=1)
+    longest = MAX_CHORD_RATIO * plan.layout.lengths - 2.0 * plan.mission.vehicles.tracking
+    taut = np.logical_and(*_holders(flight.observation.gripped)) & (chord > longest)
+    at_caught = np.zeros(plan.vehicles, dtype=bool)
+    at_caught[caught] = True
+    descends = np.asarray(above[:, np.logical_or(*_holders(at_caught))].any(axis=1))
+    while True:
+        upper, lower = _holders(descends)
+        more = descends | below[descends].any(axis=0) | above[:, upper | lower].any(axis=1)
+        more[:-1] |= taut & lower
+        more[1:] |= taut & upper
+        if more[caught].any() or not more.any():
+            return np.ones_like(descends)
+        if np.array_equal(more, descends):
+            return descends
+        descends = more
+
+
+def _holders(each: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Return what holds for the first and for the second vehicle of each strand (n − 1,)."""
+    return each[:-1], each[1:]
 
 
 def _note_waiting(flight: FlightState, above: Vehicle | None, turning: Sequence[Vehicle]) -> None:

@@ -104,23 +104,31 @@ class State(NamedTuple):
 
 @dataclass(frozen=True)
 class Descent:
-    """A descent straight down from setpoints (n, 3), all at one speed and down to the floor.
+    """A descent straight down from setpoints (n, 3), at one speed and down to the floor.
 
-    ``depth`` metres have been descended at ``time``, and ``rate`` (0…1) is the share of the speed.
+    ``depth`` (n,) metres have been descended at ``time``; ``rate`` (n,), 0…1, is the share of the
+    speed.
     """
 
     start: Floats
     speed: float
     time: float
-    depth: float = 0.0
-    rate: float = 0.0
+    depth: Floats
+    rate: Floats
 
-    def advanced(self, time: float, rate: float) -> "Descent":
-        """Return the descent at a later time, whose rate has changed towards another one."""
+    def advanced(self, time: float, rate: Floats | float) -> "Descent":
+        """Return the descent at a later time, whose rates have changed towards others."""
         duration = time - self.time
-        change = max(-duration / RAMP, min(duration / RAMP, rate - self.rate))
+        change = np.clip(rate - self.rate, -duration / RAMP, duration / RAMP)
         depth = self.depth + self.speed * (self.rate + 0.5 * change) * duration
         return replace(self, time=time, depth=depth, rate=self.rate + change)
+
+    def resting(self, k: int, height: float) -> "Descent":
+        """Return the descent with vehicle ``k`` at rest at a height above its setpoint."""
+        depth, rate = self.depth.copy(), self.rate.copy()
+        depth[k] = max(min(depth[k], self.start[k, 2] - height), 0.0)
+        rate[k] = 0.0
+        return replace(self, depth=depth, rate=rate)
 
     @property
     def state(self) -> State:
@@ -128,7 +136,7 @@ class Descent:
         position, velocity = self.start.copy(), np.zeros_like(self.start)
         floor = np.minimum(self.start[:, 2], 0.0)
         position[:, 2] = np.maximum(self.start[:, 2] - self.depth, floor)
-        velocity[position[:, 2] > 0.0, 2] = -self.speed * self.rate
+        velocity[:, 2] = np.where(position[:, 2] > 0.0, -self.speed * self.rate, 0.0)
         return State(position, velocity, np.zeros_like(self.start))
 
 
@@ -190,18 +198,24 @@ class Guidance:
 
     def descend(self, start: Floats, speed: float, now: float) -> None:
         """Leave the plan straight down from setpoints (n, 3) at rest, all at the same speed."""
-        self._descent = Descent(start.copy(), speed, now)
+        nothing = np.zeros(len(start))
+        self._descent = Descent(start.copy(), speed, now, depth=nothing, rate=nothing)
         self._separation = None
 
     @property
     def at_rest(self) -> bool:
         """Whether the setpoints rest, of a team that descended or has not left the plan."""
-        return self._descent is None or self._descent.rate == 0.0
+        return self._descent is None or not self._descent.rate.any()
 
-    def go_down(self, now: float, rate: float) -> None:
-        """Go on with the descent until now, at a rate that changes towards ``rate`` (0 or 1)."""
+    def go_down(self, now: float, rate: Floats | float) -> None:
+        """Go on with the descent until now, at rates that change towards ``rate`` (0 or 1)."""
         if self._descent is not None:
             self._descent = self._descent.advanced(now, rate)
+
+    def rest(self, k: int, height: float) -> None:
+        """Let a vehicle rest in the descent, at a height above its setpoint: there it hangs."""
+        if self._descent is not None:
+            self._descent = self._descent.resting(k, height)
 
     @property
     def descending(self) -> bool:

@@ -225,7 +225,7 @@ class Contingency:
     setpoints had come down. ``alone`` are the vehicles that fly without setpoints, those excepted
     whose setpoints have come down, ``alone_since`` is since when it is these. ``waited`` is for how
     many seconds the descent has paused for vehicles that stay above, or whose rotors turn on the
-    ground below cable.
+    ground below cable. ``caught`` are the vehicles that a strand holds back in the descent.
     """
 
     response: Response
@@ -243,6 +243,7 @@ class Contingency:
     alone: tuple[int, ...] = ()
     alone_since: float = 0.0
     waited: float = 0.0
+    caught: frozenset[int] = frozenset()
 
     def change_step(self, trigger: StepTrigger, now: float) -> None:
         """Go to the step that the table of transitions has; ValueError where it has none."""

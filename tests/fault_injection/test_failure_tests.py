@@ -484,17 +484,76 @@ def test_a_strand_that_is_caught_while_the_team_descends_is_released(team):
     assert truth.position[:, 2].max() < 0.1
 
 
-BELOW_A_STRAND = """
+def test_a_caught_strand_whose_grippers_do_not_open_keeps_no_team_in_the_air():
+    flight = moving_to_a_landing("px4")
+    while not flight.conductor.state.guidance.descending:
+        flight.step()
+    snag = {"at": flight.now, "kind": "snag", "arc": 0.5 * float(PLAN.plan.layout.lengths[0])}
+    stuck = [
+        {"at": flight.now, "kind": "gripper_stuck_shut", "vehicle": number} for number in (1, 2, 3)
+    ]
+    for fault in (snag, *stuck):
+        flight.emulator.inject(Fault.model_validate(fault))
+    state = flight.conductor.state
+    never = np.zeros_like(state.setup.windows.release)
+    windows = replace(state.setup.windows, release=never, falls=never)
+    state.setup = replace(state.setup, windows=windows)
+    while flight.conductor.finished is None:
+        flight.step()
+    messages = [
+        event.message for event in flight.events if event.kind in {"release", "contingency"}
+    ]
+    assert sum("where the cable is caught" in words for words in messages) == 1, messages
+    assert flight.emulator.truth().position[2, 2] < 0.1
+
+
+def below_a_strand(height, length):
+    """A mission in which vehicle 3, on a strand of a length, comes to hover below strand 1."""
+    line = [[-4.0, 0.0, height + 2.8], [0.0, 0.0, height + 2.8]]
+    return f"""
 schema: 1
 name: below
 formation:
-  lengths: [4.6, 5.0]
-  places:
-    - [[-4.0, 0.0, 5.0], [0.0, 0.0, 5.0], [-1.0, 3.0, 2.2]]
-    - [[-4.0, 0.0, 5.0], [0.0, 0.0, 5.0], [-2.0, 0.2, 2.2]]
-vehicles: {radius: 0.25, grip_offset: 0.2, max_speed: 1.0, tracking: 0.1}
+  lengths: [4.6, {length}]
+  places: [{[*line, [-1.0, 3.0, height]]}, {[*line, [-2.0, 0.2, height]]}]
+vehicles: {{radius: 0.25, grip_offset: 0.2, max_speed: 1.0, tracking: 0.1}}
 finish: unfold
 """
+
+
+@pytest.mark.parametrize(
+    ("team", "height", "length"), [("ardupilot", 2.2, 5.0), ("px4", 10.0, 14.0)]
+)
+def test_vehicles_at_a_strand_that_cannot_be_released_yet_are_not_pulled_below_it(
+    team, height, length
+):
+    """The strand is caught above the rotors of a vehicle: released once these have stopped.
+
+    From 10 m, the way down takes longer than the team waits for others.
+    """
+    plan = make_plan(parse_mission(below_a_strand(height, length), "below.yaml"))
+    certified = CertifiedPlan(plan, certify(plan))
+    flight = SteppedSimulation.create(certified, failure_test_fleet(3, team), seed=2)
+    while flight.conductor.clock.time < plan.phase("fold").end - 0.5:
+        flight.step()
+    flight.emulator.inject(Fault.model_validate({"at": flight.now, "kind": "snag", "arc": 1.2}))
+    flight.step()
+    state = flight.conductor.state
+    leave_the_plan(state, Response.LAND_HERE, "for the test")
+    pulled = 0.0
+    while flight.conductor.finished is None:
+        began = flight.now
+        flight.step()
+        truth = flight.emulator.truth()
+        off = np.linalg.norm(truth.position - state.streams.setpoint, axis=1)
+        pulled += (flight.now - began) * bool((off[truth.gripped] > 0.5).any())
+    released = [event.message for event in flight.events if event.kind == "release"]
+    assert released == ["releasing where the cable is caught: vehicles 1, 2"]
+    assert pulled < 2.0
+    truth = flight.emulator.truth()
+    assert len(truth.strikes) <= BY_NAME["snag"].allowed_strikes
+    assert not truth.contacts
+    assert truth.position[:, 2].max() < 0.1
 
 
 def test_a_vehicle_is_held_by_a_caught_strand_where_it_alone_is_off_by_more_than_follow_errors():

@@ -160,6 +160,27 @@ def test_a_descent_pauses_and_goes_on_without_a_jump():
     )
 
 
+def test_a_vehicle_rests_in_a_descent_where_it_hangs_while_another_goes_down():
+    guidance, clock = Guidance(MOTION), MissionClock(LIMITS)
+    guidance.descend(LINE + np.array([0.0, 0.0, 10.0]), 0.5, now=0.0)
+    for now in np.arange(0.02, 4.01, 0.02):
+        guidance.go_down(float(now), 1.0)
+    before = guidance.state(clock, 4.0).position
+    guidance.rest(1, before[1, 2] + 0.4)
+    state = guidance.state(clock, 4.0)
+    assert state.position - before == pytest.approx(np.outer(np.eye(len(LINE))[1], [0, 0, 0.4]))
+    assert not state.velocity[1].any()
+    descends = np.eye(len(LINE))[0]
+    for now in np.arange(4.02, 8.01, 0.02):
+        guidance.go_down(float(now), descends)
+    sunk = state.position[:, 2] - guidance.state(clock, 8.0).position[:, 2]
+    # Those that stop sink for another half of a second's ramp.
+    assert sunk == pytest.approx([2.0, 0.0, *[0.25] * (len(LINE) - 2)], abs=0.01)
+    assert guidance.state(clock, 8.0).velocity[:, 2] == pytest.approx(-0.5 * descends)
+    guidance.rest(2, 1e3)
+    assert guidance.state(clock, 8.0).position[2, 2] == LINE[2, 2] + 10.0
+
+
 def test_a_detour_runs_in_real_time():
     guidance = Guidance(MOTION)
     way = through_states(
