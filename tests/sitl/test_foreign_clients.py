@@ -230,6 +230,8 @@ def test_mavproxy_flies_ardupilot_and_logs(tmp_path: Path) -> None:
             shell.expect("DISARMED")
         finally:
             shell.sendline("exit")
+            # A busy machine takes longer than a tenth of a second to end a process.
+            shell.ptyproc.delayafterterminate = 1.0
             shell.close(force=True)
     reader = mavutil.mavlink_connection(str(log))
     kinds = set()
