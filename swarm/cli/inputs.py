@@ -148,8 +148,10 @@ def counting_bar(name: str, total: int | None = None) -> Iterator[Callable[..., 
 
 
 _POLL = 0.1
+"""Seconds between looks at whether a question is answered elsewhere: people see no delay."""
+
 _LONGEST_LINE = 4096
-"""Bytes of a line of a terminal, which hands over no longer ones."""
+"""Largest number of bytes in a line that a terminal hands over (N_TTY_BUF_SIZE in Linux)."""
 
 
 def confirmed(

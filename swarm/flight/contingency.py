@@ -647,11 +647,11 @@ def _note_caught(flight: FlightState) -> bool:
 
 
 def _below_caught(flight: FlightState) -> npt.NDArray[np.bool_]:
-    """Return which vehicles descend (n,) so that a caught strand can be released; all as a resort.
+    """Return which vehicles descend (n,) until a caught strand can be released.
 
     Those whose turning rotors are below it, whatever is below these and their strands, and those
-    that chords to these pull down: all others keep their places, relative to it. Where these would
-    be the vehicles at the strand themselves, all descend.
+    that chords to these pull down. All others stay where they are. Where a vehicle at the strand
+    would be among those that descend, all descend.
     """
     plan, place = flight.setup.plan, flight.streams.setpoint
     above, caught = _above_rotors(flight), sorted(contingency_of(flight).caught)

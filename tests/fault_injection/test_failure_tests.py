@@ -462,8 +462,8 @@ def test_a_caught_strand_is_released_where_the_team_cannot_release_all(team):
     assert truth.position[:, 2].max() < 0.1
 
 
-@pytest.mark.parametrize("team", ["ardupilot", "px4"])
-def test_a_strand_that_is_caught_while_the_team_descends_is_released(team):
+def caught_in_a_descent(team: TeamAutopilots) -> SteppedSimulation:
+    """A flight that descends with a caught strand 1, and may not release all together."""
     flight = moving_to_a_landing(team)
     while not flight.conductor.state.guidance.descending:
         flight.step()
@@ -473,6 +473,12 @@ def test_a_strand_that_is_caught_while_the_team_descends_is_released(team):
     never = np.zeros_like(state.setup.windows.release)
     windows = replace(state.setup.windows, release=never, falls=never)
     state.setup = replace(state.setup, windows=windows)
+    return flight
+
+
+@pytest.mark.parametrize("team", ["ardupilot", "px4"])
+def test_a_strand_that_is_caught_while_the_team_descends_is_released(team):
+    flight = caught_in_a_descent(team)
     while flight.conductor.finished is None:
         flight.step()
     (released,) = [event.message for event in flight.events if event.kind == "release"]
@@ -485,19 +491,10 @@ def test_a_strand_that_is_caught_while_the_team_descends_is_released(team):
 
 
 def test_a_caught_strand_whose_grippers_do_not_open_keeps_no_team_in_the_air():
-    flight = moving_to_a_landing("px4")
-    while not flight.conductor.state.guidance.descending:
-        flight.step()
-    snag = {"at": flight.now, "kind": "snag", "arc": 0.5 * float(PLAN.plan.layout.lengths[0])}
-    stuck = [
-        {"at": flight.now, "kind": "gripper_stuck_shut", "vehicle": number} for number in (1, 2, 3)
-    ]
-    for fault in (snag, *stuck):
-        flight.emulator.inject(Fault.model_validate(fault))
-    state = flight.conductor.state
-    never = np.zeros_like(state.setup.windows.release)
-    windows = replace(state.setup.windows, release=never, falls=never)
-    state.setup = replace(state.setup, windows=windows)
+    flight = caught_in_a_descent("px4")
+    for number in (1, 2, 3):
+        stuck = {"at": flight.now, "kind": "gripper_stuck_shut", "vehicle": number}
+        flight.emulator.inject(Fault.model_validate(stuck))
     while flight.conductor.finished is None:
         flight.step()
     messages = [

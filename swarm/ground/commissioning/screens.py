@@ -34,7 +34,7 @@ _LAST_WORDS = 2.0
 
 @dataclass
 class Question:
-    """What a check asks since the time ``asked``; the first answer counts, whoever gives it."""
+    """A question of a check, asked at the time ``asked``; the first answer of any screen counts."""
 
     words: str
     asked: float
