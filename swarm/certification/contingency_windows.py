@@ -210,9 +210,14 @@ def _chords_allow_stagger(plan: Plan, position: Floats) -> Flags:
     step = np.diff(position, axis=1)
     rise = np.abs(step[..., 2]) + LANDING_SPEED * STAGGER
     chord = np.hypot(np.hypot(step[..., 0], step[..., 1]), rise)
-    longest = MAX_CHORD_RATIO * plan.layout.lengths - 2.0 * plan.mission.vehicles.tracking
-    allowed: Flags = np.all(chord <= longest, axis=1)
+    allowed: Flags = np.all(chord <= longest_chords(plan), axis=1)
     return allowed
+
+
+def longest_chords(plan: Plan) -> Floats:
+    """Return the longest chords (n − 1,) of planned ends, metres: less for the tracking of both."""
+    longest: Floats = MAX_CHORD_RATIO * plan.layout.lengths - 2.0 * plan.mission.vehicles.tracking
+    return longest
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from swarm.certification.contingency_windows import above_rotors, rotors_clear
+from swarm.certification.contingency_windows import above_rotors, longest_chords, rotors_clear
 from swarm.flight.detect import SLOW_FROM, STOPPED_RATE
 from swarm.flight.failures import ENDS, End, Response, Windows
 from swarm.flight.observing import follow_swing, monitor
@@ -23,7 +23,6 @@ from swarm.flight.separation import separation_motion, spread_here
 from swarm.flight.stages import Stage, Step, StepTrigger, Trigger
 from swarm.flight.state import Contingency, FlightState
 from swarm.flight.streams import continue_rejoining, outside
-from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.mavlink.vehicle import Vehicle
 
 LONGEST_HOVER, DESCENT_SPEED = 5.0, 0.2
@@ -659,8 +658,7 @@ def _below_caught(flight: FlightState) -> npt.NDArray[np.bool_]:
     near = aside < plan.mission.clearance.vehicle + 2.0 * plan.mission.vehicles.tracking
     below = near & (place[:, None, 2] > place[:, 2])
     chord = np.linalg.norm(np.diff(place, axis=0), axis=1)
-    longest = MAX_CHORD_RATIO * plan.layout.lengths - 2.0 * plan.mission.vehicles.tracking
-    taut = np.logical_and(*_holders(flight.observation.gripped)) & (chord > longest)
+    taut = np.logical_and(*_holders(flight.observation.gripped)) & (chord > longest_chords(plan))
     at_caught = np.zeros(plan.vehicles, dtype=bool)
     at_caught[caught] = True
     descends = np.asarray(above[:, np.logical_or(*_holders(at_caught))].any(axis=1))
