@@ -79,10 +79,22 @@ def _finite(text: str) -> float:
     return value
 
 
-def _beside(path: Path) -> list[str]:
-    """Return the names of the files of the same kind in the folder of a path."""
+def _missing(path: Path, error: FileNotFoundError) -> str:
+    """Return why a file is not found, with the nearest name beside it, or beside its folder."""
+    folder = next((each for each in reversed(path.parents) if not each.exists()), None)
+    if folder is None:
+        return reason(error) + nearest(path.name, _beside(path))
+    return f"no such folder: {folder}{nearest(folder.name, _beside(folder, folders=True))}"
+
+
+def _beside(path: Path, *, folders: bool = False) -> list[str]:
+    """Return the names of the files of the same kind, or the folders, in the folder of a path."""
     try:
-        return [each.name for each in path.parent.iterdir() if each.suffix == path.suffix]
+        return [
+            each.name
+            for each in path.parent.iterdir()
+            if (each.is_dir() if folders else each.suffix == path.suffix)
+        ]
     except OSError:
         return []
 
@@ -93,8 +105,7 @@ def read_bytes(path: str | os.PathLike[str], largest: int) -> bytes:
         with Path(path).open("rb") as file:
             data = file.read(largest + 1)
     except FileNotFoundError as error:
-        message = reason(error) + nearest(Path(path).name, _beside(Path(path)))
-        raise InputError([Problem(os.fspath(path), message)]) from None
+        raise InputError([Problem(os.fspath(path), _missing(Path(path), error))]) from None
     except OSError as error:
         raise InputError([Problem(os.fspath(path), reason(error))]) from None
     if len(data) > largest:

@@ -69,6 +69,10 @@ def test_a_fleet_with_larger_errors_than_certified_is_refused(tmp_path: Path) ->
             ["plan", OVERHAND.replace("overhand", "ovrhand")],
             "ovrhand.yaml: no such file or directory: did you mean overhand.yaml?",
         ),
+        (
+            ["plan", OVERHAND.replace("missions", "mision")],
+            "mision: did you mean missions?",
+        ),
         (["plan", OVERHAND, "--save", "nosuch/x.plan"], "nosuch/x.plan: no such folder: nosuch"),
         (["trials", OVERHAND, "--report", "nosuch/x.html"], "x.html: no such folder: nosuch"),
         (["plan", "nosuch"], 'nosuch: knot.name: no knot is called "nosuch" here'),

@@ -127,6 +127,10 @@ def test_a_knot_name_with_an_underscore_is_a_word() -> None:
             "m.yaml: fold.method: expected certified, optimised or paper, got 'certifed': did you mean certified?",
         ),
         (
+            "vehicles.count=fewst",
+            "m.yaml: vehicles.count: expected auto, fewest or an integer >= 3 and <= 200, got 'fewst': did you mean fewest?",
+        ),
+        (
             "knot={dt: abc}",
             "m.yaml: knot.dt: expected a DT code such as \"4 6 2\", got 'abc'",
         ),

@@ -279,7 +279,20 @@ def validate(
         items = [item for item in items if not _only_invalid(item)]
         items.sort(key=lambda item: line_of(_named(item["loc"]), lines) or 0)
         problems = [_problem(model, document, item, source, lines) for item in items]
-        raise InputError(list(dict.fromkeys(problems))) from None
+        raise InputError(_with_hints(list(dict.fromkeys(problems)))) from None
+
+
+def _with_hints(problems: list[Problem]) -> list[Problem]:
+    """Return the problems without those that are there once more with a hint.
+
+    A value that may be a number or a word is reported as both, and only as a word with a hint.
+    """
+    hinted = {
+        (one.place, one.message.split(": did you mean")[0])
+        for one in problems
+        if ": did you mean" in one.message
+    }
+    return [one for one in problems if (one.place, one.message) not in hinted]
 
 
 def read_model(model: type[Model], text: str, source: str, overrides: Iterable[str] = ()) -> Model:
