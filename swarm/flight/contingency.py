@@ -480,6 +480,8 @@ def _release_fallen(flight: FlightState) -> None:
     contingency.response, contingency.target = Response.RELEASE_FALLEN, None
     if contingency.step in {Step.APPROACH, Step.RELEASE}:
         contingency.change_step(StepTrigger.RELEASE, flight.now)
+    if not flight.attached:
+        return
     n = len(flight.roster.vehicles)
     order = [*fallen, *(k for j in fallen for k in (j - 1, j + 1) if 0 <= k < n)]
     if ENDS[Response.RELEASE_FALLEN][windows(flight)] is End.RELEASE_FALLEN:

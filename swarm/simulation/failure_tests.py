@@ -21,6 +21,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from sitl.emulator import Truth
 from swarm.certification.certificate import CertifiedPlan
+from swarm.certification.limits import inside_fence_by
 from swarm.certification.monitor import Monitor
 from swarm.errors import InputError, Problem, reason
 from swarm.flight.failures import FailureKind, Response
@@ -66,7 +67,8 @@ class FaultTrial:
     - ``rotor_strikes`` on cable, ``exempt_strikes`` of them as the case's ``fall_time`` and
       ``own_strikes`` say;
       ``vehicles_lost``; ``end`` of the flight; ``problems``: the violated requirements;
-      ``obstacle_contacts``: what touched which obstacle.
+      ``obstacle_contacts``: what touched which obstacle; ``fence_exits``: which vehicles but the
+      failed one flew out of the fence.
     """
 
     mission_time: float
@@ -84,6 +86,7 @@ class FaultTrial:
     visible_time: float = 0.0
     exempt_strikes: int = 0
     obstacle_contacts: tuple[str, ...] = ()
+    fence_exits: tuple[str, ...] = ()
 
 
 class GroundTruthMonitor:
@@ -93,7 +96,8 @@ class GroundTruthMonitor:
     on the ``vehicle`` that must be detected (``hidden_time``) and in which it has one
     (``visible_time``): a slip changes the pulls enough to be measured, another fault moves the
     vehicle out of its tracking radius. ``hidden_slip``: a slip had none at the last sample.
-    Obstacles are touched by vehicles that fly, and by cable that all of them hold.
+    Obstacles are touched by vehicles that fly, and by cable that all of them hold. Only a vehicle
+    whose own failure it is may leave the fence: it may not know where it is.
     """
 
     def __init__(self, flight: SteppedSimulation, case: FailureCase, vehicle: int) -> None:
@@ -108,6 +112,7 @@ class GroundTruthMonitor:
         self.strand_distance = self.vehicle_distance = np.inf
         self.chord_ratio = 0.0
         self.obstacle_contacts: dict[str, None] = {}
+        self.fence_exits: dict[str, None] = {}
 
     def sample(self, *, detected: bool = False) -> None:
         """Take a sample, at most one every :data:`SAMPLE_INTERVAL`.
@@ -136,6 +141,7 @@ class GroundTruthMonitor:
             (clearances,) = self._monitor.clearances(position[None], "free")
             self.vehicle_distance = min(self.vehicle_distance, clearances.vehicle)
         self._note_contacts(truth, flying & truth.armed)
+        self._note_fence_exits(truth, flying & truth.armed)
 
     def _note_contacts(self, truth: Truth, flying: npt.NDArray[np.bool_]) -> None:
         mission = self._flight.flight_plan.plan.mission
@@ -148,6 +154,18 @@ class GroundTruthMonitor:
             if held and np.any(distances(solid, truth.cable) < 0.5 * mission.cable.diameter):
                 contacts.append(f"cable touches {obstacle.name}")
             self.obstacle_contacts |= dict.fromkeys(contacts)
+
+    def _note_fence_exits(self, truth: Truth, flying: npt.NDArray[np.bool_]) -> None:
+        fence, case = self._flight.flight_plan.plan.mission.workspace.fence, self._case
+        if fence is None:
+            return
+        outside = inside_fence_by(truth.position[:, None].repeat(2, axis=1), np.array(fence)) < 0.0
+        if not (case.whole_team or case.station_fault or case.group == "world"):
+            outside[self._vehicle] = False
+        exits = [
+            f"vehicle {truth.ids[k]} leaves the fence" for k in np.flatnonzero(flying & outside)
+        ]
+        self.fence_exits |= dict.fromkeys(exits)
 
     def _sample_effect(self) -> None:
         conductor, k = self._flight.conductor, self._vehicle
@@ -231,6 +249,7 @@ def evaluate(
         visible_time=monitor.visible_time,
         exempt_strikes=monitor.rotor_strikes(system=system) if case.own_strikes else falls,
         obstacle_contacts=tuple(monitor.obstacle_contacts),
+        fence_exits=tuple(monitor.fence_exits),
     )
     return replace(trial, problems=find_problems(flight, case, trial))
 
@@ -254,7 +273,7 @@ def find_problems(
         problems.append(f"{strikes} rotor strikes")
     if trial.vehicles_lost > int(case.loses_vehicle):
         problems.append(f"{trial.vehicles_lost} vehicles lost")
-    problems += trial.obstacle_contacts
+    problems += [*trial.obstacle_contacts, *trial.fence_exits]
     strand_distance, vehicle_distance = _certified_distances(flight, case)
     moved = case.moves_certified or case.loses_vehicle
     cable_drifts = case.vehicle_drifts and trial.end != "released and landed"
