@@ -8,6 +8,7 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import toeplitz
 from scipy.optimize import brentq
 
 from swarm import planner
@@ -16,7 +17,7 @@ from swarm.certification.clearances import PlanChecks
 from swarm.errors import Refused
 from swarm.mission import parse_mission
 from swarm.planner import PlanningResult, shortening
-from swarm.planner.fold_problem import Fold, Frozen, Problem
+from swarm.planner.fold_problem import Fold, Frozen, Problem, localised
 from swarm.planner.shortening import Shortening
 from swarm.planner.team_terms import _by_end, _write_strand
 from tests.shared import shared
@@ -57,8 +58,8 @@ def begun() -> tuple[Shortening, Fold, Frozen]:
 def parts_of(problem: Problem, fold: Fold, frozen: Frozen) -> Floats:
     """Return the cost, and its derivatives by all unknowns."""
     shown, slopes = problem.derived(fold, frozen)
-    gradient, _ = shortening._by_unknowns(problem, fold, slopes, 0.0)
-    return np.concatenate([[shown.cost], gradient])
+    bordered = shortening._by_unknowns(problem, fold, slopes, 0.0)
+    return np.concatenate([[shown.cost], bordered.gradient])
 
 
 TERMS = "clearances", "after losses", "speed and acceleration", "swing", "sinking", "all"
@@ -148,7 +149,7 @@ def test_a_shorter_fold_is_cleared_and_needs_no_slower_clock() -> None:
     sinking = deepest_sinking(after)
     assert sinking is None or sinking.depth <= after.mission.vehicles.tracking
     assert PlanChecks.of(after).rates_ahead[1].min() == 1.0
-    assert any(note.startswith("shortened the fold from ") for note in after.notes)
+    assert any(note.startswith("found a fold of ") for note in after.notes)
 
 
 @pytest.mark.full
@@ -161,7 +162,7 @@ def test_an_optimised_fold_is_the_same_from_a_start_that_differs_by_millimetres(
     for size in (0.0, 0.002):
         start = replace(fold, free=fold.free + rng.normal(scale=size, size=fold.free.shape))
         frozen = shortening._measured_first(short, start)
-        found.append(shortening._centred(short, start, frozen, wanted, 600.0)[0])
+        found.append(shortening._centred(short, start, frozen, wanted, 300.0)[0])
     assert found[0].duration == pytest.approx(found[1].duration, rel=0.03)
 
 
@@ -179,6 +180,38 @@ def test_steps_lower_the_cost_and_shorten_the_fold_while_strands_stay_apart() ->
     distances = after.found.distances
     assert distances[distances > 0.0].min() > 0.2
     assert fold.duration < 0.75 * begun_at
+
+
+@pytest.mark.parametrize("unknowns", [0, 2500])
+def test_a_step_solves_the_equations_of_the_whole_matrix(unknowns: int) -> None:
+    """Also of what memory couples beyond the band, by a matrix that is multiplied out."""
+    short, fold, frozen = begun()
+    problem, damping = replace(short.problem, whole=unknowns), 1.0
+    fold = replace(fold, duration=3.0 * fold.duration)  # whose band is narrow
+    _, slopes = problem.derived(fold, frozen)
+    quadratic = shortening._by_unknowns(problem, fold, slopes, 600.0)
+    size = slopes.gradient.size
+    assert (len(slopes.band) < 0.7 * size) is (unknowns == 0)
+    units = np.eye(size).reshape(size, *slopes.gradient.shape)
+    whole = np.array([shortening.matrix_times(slopes, unit).reshape(-1) for unit in units])
+    np.testing.assert_allclose(whole, whole.T, atol=1e-9 * np.abs(whole).max())
+    matrix = np.block(
+        [
+            [quadratic.corner, quadratic.border.T],
+            [quadratic.border, whole[quadratic.inner, quadratic.inner]],
+        ]
+    )
+    matrix += damping * np.diag([*shortening._STIFF, *np.ones(len(matrix) - 5)])
+    rest = matrix @ quadratic.step(damping) + quadratic.gradient
+    assert np.linalg.norm(rest) < 1.01e-3 * np.linalg.norm(quadratic.gradient)
+
+
+@given(st.integers(2, 40), st.integers(1, 120))
+def test_couplings_in_a_band_have_no_negative_eigenvalues(reach: int, count: int) -> None:
+    row = np.zeros(max(count, reach))
+    row[:reach] = localised(reach)
+    assert row[0] == 1.0
+    assert np.linalg.eigvalsh(toeplitz(row[:count])).min() > -1e-9
 
 
 def test_what_is_too_large_is_refused() -> None:

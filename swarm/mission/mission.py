@@ -497,9 +497,9 @@ class Fold(Section):
 
     method: Literal["certified", "optimised", "paper"] = Field(
         "certified",
-        description="certified: all vehicles follow one curve; optimised: that fold, made about "
-        "half as long by one optimisation of all motions, which takes half a minute for nine "
-        "vehicles and leaves little room for wind; paper: the published trajectory, for "
+        description="certified: all vehicles follow one curve; optimised: a third to half as long, "
+        "by one optimisation of all motions, which takes half a minute for nine vehicles and "
+        "leaves little room for wind; paper: the published trajectory, for "
         "comparison.",
     )
     delay: Number | None = number(

@@ -4,7 +4,9 @@ import importlib
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from itertools import islice
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from swarm.certification.air import LEAST_SINKING, deepest_sinking
@@ -40,6 +42,9 @@ _FURTHER = 2
 """Foldings that are repaired further where none is cleared, of those whose repairs ran out: all of
 10_35 and 10_56 did, most of them 3 to 14 mm short of one clearance. Those with the least need one
 and three more."""
+
+_STARTS = 3
+"""Candidates from which one optimisation begins."""
 
 _FLOWN_SINKING = 0.8
 """Largest share of a stated sinking that vehicles sank by in dry runs: 0.28 to 0.79 of 46."""
@@ -77,59 +82,89 @@ def plan(
     Raises :class:`swarm.errors.Refused` where no motion exists to check.
     """
     with one_thread():
-        result = _with_shorter_fold(_cleared_or_first(mission, progress), progress)
+        optimised = mission.fold.method == "optimised"
+        result = (_optimised if optimised else _cleared_or_first)(mission, progress)
         if robustness and result.certificate.cleared:
             certificate = certify_robustness(result.plan, result.certificate, progress)
             result = replace(result, certificate=certificate)
     return result
 
 
-def _with_shorter_fold(result: PlanningResult, progress: Progress | None) -> PlanningResult:
-    """Return a cleared plan with the shortest fold that one optimisation finds, where asked for.
+def _optimised(mission: Mission, progress: Progress | None) -> PlanningResult:
+    """Return the plan with the shortest fold that one optimisation finds.
 
-    It is cleared too, and as safe in all that the certificate states. The plan stays as it is, with
-    a note, where no such fold is found.
+    It begins with candidates as they are, and where none of them leads to a cleared plan, with the
+    plan that repairs clear, which stays as it is, with a note, where no shorter fold is as safe.
     """
-    plan = result.plan
-    if plan.mission.fold.method != "optimised" or not result.certificate.cleared:
+    for candidate in islice(candidates(mission, progress=progress), _STARTS):
+        start = replace(candidate.plan, notes=(*candidate.plan.notes, *candidate.notes))
+        found = _shortest(start, None, progress) if candidate.folding else None
+        if found is not None:
+            return found
+    result = _cleared_or_first(mission, progress)
+    if not result.certificate.cleared or not any(p.name == "fold" for p in result.plan.phases):
         return result
-    best = result
+    note = "no shorter fold was cleared that is as safe in all that the certificate states"
+    unchanged = replace(result, plan=replace(result.plan, notes=(*result.plan.notes, note)))
+    return _shortest(result.plan, result, progress) or unchanged
+
+
+def _shortest(
+    start: Plan, before: PlanningResult | None, progress: Progress | None
+) -> PlanningResult | None:
+    """Return the cleared plan with the shortest fold that is found from a ``start``.
+
+    It is as safe as the one ``before`` in all that the certificate states.
+    """
+    best = before
 
     def accepted(shorter: Plan) -> bool:
         nonlocal best
+        if best is not None and shorter.flight_duration >= best.plan.flight_duration:
+            return False
         again = PlanningResult(shorter, certify(shorter))
-        if again.certificate.cleared and _as_safe(again, result):
+        if again.certificate.cleared and _as_safe(again, before):
             best = again
         return best is again
 
-    shorten(plan, accepted, progress or (lambda _stage, _share: None))
-    before, after = (each.plan.phase("fold").duration for each in (result, best))
-    note = f"shortened the fold from {before:.1f} s to {after:.1f} s by one optimisation"
-    if best is result:
-        note = "no shorter fold was cleared that is as safe in all that the certificate states"
+    shorten(start, accepted, progress or (lambda _stage, _share: None))
+    if best is None or best is before:
+        return None
+    first, found = (plan.phase("fold").duration for plan in (start, best.plan))
+    note = f"shortened the fold from {first:.1f} s to {found:.1f} s by one optimisation"
+    if before is None:
+        note = f"found a fold of {found:.1f} s by one optimisation, from one of {first:.1f} s"
     return replace(best, plan=replace(best.plan, notes=(*best.plan.notes, note)))
 
 
-def _as_safe(again: PlanningResult, before: PlanningResult) -> bool:
+def _as_safe(again: PlanningResult, before: PlanningResult | None) -> bool:
     """Return whether a cleared plan with another fold is no less safe than one before.
 
     It holds for the tracking radius, no vehicle sinks farther than that in jets, lost setpoints
-    slow the clock no more, the budget is no shorter, and no check warns that did not before.
+    slow the clock no more, the budget is no shorter, and no check warns that did not before. Where
+    there is none before, the clock is never slowed, and all can soon land at any time.
     """
     plan, tracking = again.plan, again.plan.mission.vehicles.tracking
-    slowest, slowest_before = (
-        PlanChecks.of(each.plan).rates_ahead[1].min(initial=1.0) for each in (again, before)
-    )
-    remaining, remaining_before = (
-        least_remaining(each.assessment.budget) for each in (again, before)
-    )
+    sinking, slowest, warned = max(tracking, LEAST_SINKING), 1.0, _warned(again) - {"windows"}
+    remaining = 0.0
+    if before is not None:
+        sinking = max(sinking, _deepest_sinking(before))
+        slowest, warned = _slowest(before), _warned(before)
+        remaining = min(0.0, least_remaining(before.assessment.budget))
+    elif plan.mission.limits.accept_negative_budget:
+        remaining = -np.inf
     return bool(
         certified(plan, tracking=tracking)
-        and _deepest_sinking(again) <= max(tracking, _deepest_sinking(before), LEAST_SINKING)
-        and slowest >= slowest_before
-        and remaining >= min(0.0, remaining_before)
-        and _warned(again) <= _warned(before)
+        and _deepest_sinking(again) <= sinking
+        and _slowest(again) >= slowest
+        and least_remaining(again.assessment.budget) >= remaining
+        and _warned(again) <= warned
     )
+
+
+def _slowest(result: PlanningResult) -> float:
+    """Return the lowest rate of the clock that lost setpoints ask for."""
+    return float(PlanChecks.of(result.plan).rates_ahead[1].min(initial=1.0))
 
 
 def _warned(result: PlanningResult) -> set[str]:

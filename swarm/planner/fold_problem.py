@@ -14,7 +14,7 @@ and damping of the swing, and its correction (:class:`Frozen`).
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import permutations
@@ -28,6 +28,7 @@ from swarm.certification.air import JET_DECAY, JET_WIDENING, sinking_step
 from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.planner.team_terms import (
     RANGE,
+    RELAXED,
     Derivatives,
     Found,
     Memory,
@@ -40,6 +41,7 @@ from swarm.planner.team_terms import (
     oscillate,
     respond,
     scatter,
+    scatter_products,
 )
 from swarm.planning.shaping import PENDULUM, SETTLING
 from swarm.threads import side_by_side
@@ -75,6 +77,14 @@ weight: there are four poses for each vehicle."""
 _LEAST_LOST, _LEAST_SUNK = 0.01, 0.02
 """Acceleration, m/s², that is lost in a jet at least, and share of the limit by which a vehicle
 sinks, for a pair to count."""
+
+_COUPLED, _TOGETHER = 20.0, 8
+"""Seconds beyond which control points that move the same swing do not count as coupled in the
+matrix, by when it has decayed to a tenth (the gradient has all of it); and control points whose
+products are computed together."""
+
+RELAXED_SHARE = 0.005
+"""Slack, of 1 less the square of a share of a limit, below which barriers are parabolas."""
 
 _STRETCH = 1e-5
 """Relative change of the duration for the swing's derivative by it."""
@@ -136,28 +146,54 @@ class Coasting:
 class Frozen:
     """What is measured at a motion: needs, and for s moments and m strands the squared frequency
     of the first mode, its damping, and the factor of its size (s, m); without ``coasting`` no
-    losses of setpoints count."""
+    losses of setpoints count. Barriers are relaxed ``soft`` times as far as at the end."""
 
     needs: Needs
     squares: Floats
     damping: Floats
     gains: Floats
     coasting: Coasting | None
+    soft: float = 1.0
 
 
 @dataclass(eq=False)
 class Slopes:
     """Derivatives of the cost by all control points, and by the logarithm of the duration.
 
-    ``gradient`` (k, 3n) and Gauss-Newton ``matrix`` (k·3n, k·3n) of the control points;
-    ``by_duration``, its derivative ``mixed`` (k, 3n) by them, and ``twice`` by the same again.
+    ``gradient`` (k, 3n) and the Gauss-Newton matrix (k·3n, k·3n) of the control points: what
+    couples neighbouring ones in its lower ``band`` (h, k·3n), row r, column c in
+    ``band[r − c, c]``; what a whole motion before a moment causes as ``remembered`` squares, of
+    which ``near`` (h, k·3n) is an approximation in a band. Where a band is the whole matrix, it is
+    both, and has all of it. ``by_duration``, its derivative
+    ``mixed`` (k, 3n) by control points, and ``twice`` by the same again.
     """
 
     gradient: Floats
-    matrix: Floats
+    band: Floats
+    near: Floats
+    remembered: "list[Remembered]"
     by_duration: float
     mixed: Floats
     twice: float
+
+
+class Remembered(NamedTuple):
+    """A sum of squares of ``rows`` (r, k·u·3) by control points of each vehicle of a ``pair``, or,
+    not ``apart``, of the first less the second."""
+
+    rows: Floats
+    pair: tuple[int, int]
+    apart: bool
+
+    def times(self, vector: Floats, result: Floats) -> None:
+        """Add to ``result`` (k, 3n) the matrix of the squares times a vector (k, 3n)."""
+        count, pair = len(vector), self.pair
+        ends = np.stack([vector[:, 3 * i : 3 * i + 3] for i in pair], axis=1)
+        ends = ends if self.apart else ends[:, :1] - ends[:, 1:]
+        found = (self.rows.T @ (self.rows @ ends.reshape(-1))).reshape(count, -1, 3)
+        for u, i in enumerate(pair):
+            sign = 1.0 if self.apart or u == 0 else -1.0
+            result[:, 3 * i : 3 * i + 3] += sign * found[:, u if self.apart else 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +236,8 @@ class Problem:
     ``along`` (n,) are the places of vehicles on the line from its middle, metres; ``count`` control
     points move each vehicle. ``after`` is the team after losses of setpoints, when all were
     exactly on the plan. ``drag`` is that of the cable, 1/m: acceleration by squared speed; ``jet``
-    the radius of a vehicle's jet, metres.
+    the radius of a vehicle's jet, metres. Up to ``whole`` unknowns, all of the matrix is kept, and
+    solved at once: that takes less time.
     """
 
     team: Team
@@ -211,6 +248,7 @@ class Problem:
     count: int
     drag: float
     jet: float
+    whole: int = 2500
 
     @cached_property
     def moments(self) -> int:
@@ -292,34 +330,47 @@ class Problem:
 
     def derived(self, fold: Fold, frozen: Frozen) -> tuple[Evaluation, Slopes]:
         """Return the cost of a motion, and its derivatives."""
-        n = len(self.folded)
-        size = self.count * 3 * n
+        knot = 3 * len(self.folded)
+        high = knot * (self._reach(fold.duration, frozen.coasting) + 1)
+        band = np.zeros((high, self.count * knot))
+        near = band if high == band.shape[1] else np.zeros_like(band)
         slopes = Slopes(
-            np.zeros((self.count, 3 * n)), np.zeros((size, size)), 0.0,
-            np.zeros((self.count, 3 * n)), 0.0,
-        )  # fmt: skip
+            np.zeros((self.count, knot)), band, near, [], 0.0, np.zeros((self.count, knot)), 0.0
+        )
         return self.evaluate(fold, frozen, slopes), slopes
+
+    def _reach(self, duration: float, coasting: Coasting | None) -> int:
+        """Return over how many control points the matrix couples."""
+        if 3 * len(self.folded) * self.count <= self.whole:
+            return self.count - 1
+        knot = duration / (self.count - DEGREE)
+        ahead = 0.0 if coasting is None else float(coasting.others.max())
+        reach = max(DEGREE + math.ceil(ahead / knot), math.ceil(_COUPLED / knot))
+        return min(reach, self.count - 1)
 
     def evaluate(self, fold: Fold, frozen: Frozen, slopes: Slopes | None = None) -> Evaluation:
         """Return the cost of a motion; add its derivatives to ``slopes``."""
         control = self.control(fold)
         place, velocity, acceleration = self._states(control, self.basis, fold.duration)
-        distances, found = self._clearances(self._planned(place), self.team, frozen.needs, slopes)
+        planned = self._planned(place, frozen.soft)
+        distances, found = self._clearances(planned, self.team, frozen.needs, slopes)
         losses, missed = 0.0, 0.0
         if frozen.coasting is not None:
-            for moved in self._lost(control, place, velocity, fold.duration, frozen.coasting):
+            for moved in self._lost(
+                control, place, velocity, fold.duration, frozen.coasting, frozen.soft
+            ):
                 cost, after = self._clearances(moved, self.after, frozen.coasting.needs, slopes)
                 losses += cost
                 missed = max(missed, float(after.missed.max()))
         motion = sum(
-            self._bounded(order, state, limit, fold.duration, slopes)
+            self._bounded(order, state, limit, fold.duration, frozen.soft, slopes)
             for order, state, limit in (
                 (1, velocity, self.limits.speed),
                 (2, acceleration, self.limits.acceleration),
             )
         )
         swung, swings = self._swing(velocity, acceleration, fold.duration, frozen, slopes)
-        sunk, sinking = self._sinking(place, fold.duration, slopes)
+        sunk, sinking = self._sinking(place, fold.duration, frozen.soft, slopes)
         smooth = self._smoothness(control.reshape(self.count, -1), fold.duration, slopes)
         cost = float(distances + losses + motion + swung + sunk + smooth)
         return Evaluation(
@@ -335,13 +386,13 @@ class Problem:
 
     def shown_by(self, places: Floats, needs: Needs) -> Found:
         """Return what poses (s, n, 3) show with their needs; at most as many as the moments."""
-        planned = self._planned(places)
+        planned = self._planned(places, 1.0)
         return self._clearances(planned, self.team, needs, None)[1]
 
-    def _planned(self, place: Floats) -> _Moved:
+    def _planned(self, place: Floats, soft: float) -> _Moved:
         """Return the poses of the motion itself."""
         s = len(place)
-        poses = Poses(place, np.arange(s), np.full(s, -1), RANGE, 1.0)
+        poses = Poses(place, np.arange(s), np.full(s, -1), RANGE, 1.0, soft * RELAXED)
         return _Moved(poses, self._splines(0, s), np.zeros_like(place))
 
     def _splines(self, order: int, moments: int) -> Splines:
@@ -354,8 +405,9 @@ class Problem:
         )
 
     def _lost(
-        self, control: Floats, place: Floats, velocity: Floats, duration: float, coasting: Coasting
-    ) -> Iterator[_Moved]:
+        self, control: Floats, place: Floats, velocity: Floats, duration: float, coasting: Coasting,
+        soft: float,
+    ) -> Iterator[_Moved]:  # fmt: skip
         """Yield the poses after losses of setpoints, of all vehicles and of each one.
 
         When they have moved half of what they do, and all; the others advance meanwhile as little
@@ -387,7 +439,7 @@ class Problem:
                 yield _Moved(
                     Poses(
                         np.where(wide, lost, team), np.arange(count),
-                        np.full(count, who), _LOSS_RANGE, _LOSS_WEIGHT,
+                        np.full(count, who), _LOSS_RANGE, _LOSS_WEIGHT, soft * RELAXED,
                     ),
                     Splines(
                         np.where(wide, lost_shares, team_shares), np.where(alone, first, team_first)
@@ -407,15 +459,16 @@ class Problem:
             np.zeros((rows, m, m)), np.zeros((rows, m)), np.zeros(rows),
         )  # fmt: skip
         memory = Memory(
-            np.empty((m, _PIECES + 1, 3)), np.empty((m, _PIECES + 1, 5)), np.empty((m, 6))
-        )
+            np.empty((m, _PIECES + 1, 3)), np.empty((m, _PIECES + 1, 5)), np.empty((m, 6)),
+            np.empty(m, dtype=np.int64),
+        )  # fmt: skip
         blocks = np.zeros((s if derive else 1, 3 * n, 3 * n))
         derivatives = Derivatives(np.zeros((s, 3 * n)), blocks, np.empty((4, 3)))
         cost = add_clearances(moved.poses, team, needs, found, memory, derivatives, derive)
         if slopes is not None:
             longer = moved.longer.reshape(s, -1)
             gather(moved.splines, derivatives.gradient, slopes.gradient)
-            scatter(moved.splines, 1.0, blocks, slopes.matrix)
+            scatter(moved.splines, 1.0, blocks, slopes.band)
             if longer.any():
                 pushed = np.einsum("sxy,sy->sx", blocks, longer)
                 slopes.by_duration += float((derivatives.gradient * longer).sum())
@@ -424,12 +477,13 @@ class Problem:
         return cost, found
 
     def _bounded(
-        self, order: int, state: Floats, limit: float, duration: float, slopes: Slopes | None
-    ) -> float:
+        self, order: int, state: Floats, limit: float, duration: float, soft: float,
+        slopes: Slopes | None,
+    ) -> float:  # fmt: skip
         """Return the cost of a derivative of the motion and its limit; add its own derivatives."""
         s, n, _ = state.shape
         slack = 1.0 - (state**2).sum(axis=2) / limit**2
-        value, slope, curvature = logarithmic(slack)
+        value, slope, curvature = logarithmic(slack, soft)
         if slopes is None:
             return float(value.sum())
         by = -2.0 / limit**2 * state
@@ -448,7 +502,7 @@ class Problem:
             curvature[..., None, None] * by[..., :, None] * by[..., None, :]
             - (2.0 / limit**2 * slope)[..., None, None] * np.eye(3)
         ).transpose(1, 0, 2, 3)
-        scatter(self._splines(order, s), scale**2, blocks.reshape(s, 3 * n, 3 * n), slopes.matrix)
+        scatter(self._splines(order, s), scale**2, blocks.reshape(s, 3 * n, 3 * n), slopes.band)
         return float(value.sum())
 
     def _swing(
@@ -466,40 +520,47 @@ class Problem:
             by = None
             if slopes is not None:
                 by = np.concatenate([m.by_ends(self, duration) for m in swung.modes], axis=1)
-            return below(swung.moved, self.limits.swing, by, swung.longer)
+            return below(swung.moved, self.limits.swing, by, swung.longer, frozen.soft)
 
         total = 0.0
-        for i, (value, by, square) in enumerate(side_by_side(strand, range(n - 1))):
+        for i, (value, by, rows) in enumerate(side_by_side(strand, range(n - 1))):
             total += value
             if slopes is not None:
-                self._add(slopes, by, square, [(i, 1.0), (i + 1, 1.0)], apart=True)
+                self._add(slopes, by, rows, (i, i + 1), apart=True)
         return total, swings
 
     def _add(
-        self, slopes: Slopes, by: Floats, square: Floats, vehicles: Sequence[tuple[int, float]],
-        *, apart: bool,
-    ) -> None:  # fmt: skip
-        """Add the gradient (u·k·3 + 1,) and matrix of a cost by control points and duration.
+        self, slopes: Slopes, by: Floats, rows: Floats, pair: tuple[int, int], *, apart: bool
+    ) -> None:
+        """Add the gradient (k·u·3 + 1,) of a cost by control points and duration, and its matrix:
+        the sum of squares of ``rows`` (t, c, k·u·3 + 1).
 
-        ``apart``: the unknowns are those of each vehicle; otherwise the sum of all, each with its
-        sign.
+        ``apart``: control points are those of each vehicle of the pair; otherwise of the first less
+        the second.
         """
-        count, n = self.count, len(self.folded)
-        units = len(vehicles) if apart else 1
-        size = units * count * 3
-        ends, crossed = by[:size].reshape(units, count, 3), square[size, :size]
-        crossed = crossed.reshape(units, count, 3)
-        squared = square[:size, :size].reshape(units, count, 3, units, count, 3)
-        gradient, mixed = (each.reshape(count, n, 3) for each in (slopes.gradient, slopes.mixed))
-        whole = slopes.matrix.reshape(count, n, 3, count, n, 3)
-        slopes.by_duration += by[size]
-        slopes.twice += square[size, size]
-        for a, (i, sign) in enumerate(vehicles):
-            u = a if apart else 0
-            gradient[:, i] += sign * ends[u]
-            mixed[:, i] += sign * crossed[u]
-            for b, (j, other) in enumerate(vehicles):
-                whole[:, i, :, :, j, :] += sign * other * squared[u, :, :, b if apart else 0]
+        knot, width = 3 * len(self.folded), 6 if apart else 3
+        reach = len(slopes.band) // knot
+        signs = np.zeros(2) if apart else np.array([1.0, -1.0])
+        flat = rows.reshape(-1, rows.shape[2])
+        if slopes.near is not slopes.band:
+            slopes.remembered.append(Remembered(flat[:, :-1], pair, apart))
+        crossed = flat[:, -1] @ flat
+        slopes.by_duration += by[-1]
+        slopes.twice += crossed[-1]
+        for total, part in ((slopes.gradient, by), (slopes.mixed, crossed)):
+            ends = part[:-1].reshape(self.count, -1, 3)
+            for u, i in enumerate(pair):
+                total[:, 3 * i : 3 * i + 3] += ends[:, u] if apart else signs[u] * ends[:, 0]
+        taper = localised(reach) if reach < self.count else np.ones(reach)
+        for first in range(0, self.count, _TOGETHER):
+            # A control point moves nothing before the spline's pieces that it is part of.
+            after = rows[max(0, _PER_KNOT * (first - DEGREE)) :].reshape(-1, rows.shape[2])
+            last = min(first + _TOGETHER, self.count)
+            end = min(last + reach - 1, self.count)
+            products = (
+                after[:, first * width : last * width].T @ after[:, first * width : end * width]
+            )
+            scatter_products(products, first, np.array(pair), signs, taper, slopes.near, knot)
 
     def _strand_swing(
         self, i: int, velocity: Floats, acceleration: Floats, duration: float, frozen: Frozen,
@@ -531,7 +592,7 @@ class Problem:
         )
 
     def _sinking(
-        self, place: Floats, duration: float, slopes: Slopes | None
+        self, place: Floats, duration: float, soft: float, slopes: Slopes | None
     ) -> tuple[float, float]:
         """Return the cost of sinking in jets, and the largest one, metres; add the derivatives.
 
@@ -555,10 +616,10 @@ class Problem:
                 force = by_place[:, None, :] * self.basis.values[0][:, :, None]
                 by = responded(held, force.reshape(s, -1))[:, None] * (depth > 0.0)[..., None]
             longer = (responded(stretched, lost[:, None]) - depth) / _STRETCH * (depth > 0.0)
-            value, gradient, square = below(sunk, self.limits.sinking, by, longer)
+            value, gradient, rows = below(sunk, self.limits.sinking, by, longer, soft)
             total += value
             if slopes is not None:
-                self._add(slopes, gradient, square, [(above, 1.0), (below_, -1.0)], apart=False)
+                self._add(slopes, gradient, rows, (above, below_), apart=False)
         return total, most
 
     def _lost_lift(self, apart: Floats) -> tuple[Floats, Floats]:
@@ -589,9 +650,9 @@ class Problem:
             if slopes is not None:
                 slopes.gradient += pushed
                 size = flat.shape[1]
-                whole = slopes.matrix.reshape(self.count, size, self.count, size)
-                each = np.arange(size)
-                whole[:, each, :, each] += scaled
+                for apart in range(DEGREE + 1):
+                    diagonal = np.repeat(np.diag(scaled, -apart), size)
+                    slopes.band[apart * size, : len(diagonal)] += diagonal
         return cost
 
 
@@ -620,7 +681,7 @@ class Mode:
         return swung
 
     def by_ends(self, problem: Problem, duration: float) -> Floats:
-        """Return the derivative (t, axes, 2·k·3) of its swing by control points of both ends."""
+        """Return the derivative (t, axes, k·2·3) of its swing by control points of both ends."""
         t, s, count = len(self.squares), len(self.speed), problem.count
         first = problem.basis.values[1] / duration
         second = problem.basis.values[2] / duration**2
@@ -630,8 +691,8 @@ class Mode:
             for y in range(3):
                 along = problem.drag * self.speed[:, x] * self.speed[:, y] / self.size
                 force[:s, x, :, y] += along[:, None] * first
-        moved = 0.5 * self.swung(_STEP_RESPONSE * force.reshape(t, -1)).reshape(t, self.axes, -1)
-        return np.concatenate([self.sign * moved, moved], axis=2)
+        moved = 0.5 * self.swung(_STEP_RESPONSE * force.reshape(t, -1)).reshape(force.shape)
+        return np.stack([self.sign * moved, moved], axis=3).reshape(t, self.axes, -1)
 
 
 class StrandSwing(NamedTuple):
@@ -644,27 +705,38 @@ class StrandSwing(NamedTuple):
 
 
 def below(
-    moved: Floats, limit: float, by: Floats | None, longer: Floats
+    moved: Floats, limit: float, by: Floats | None, longer: Floats, soft: float
 ) -> tuple[float, Floats, Floats]:
     """Return the cost of vectors (t, c) that stay shorter than a limit, with its derivatives.
 
     The barrier is that of 1 − (size / limit)². ``by`` (t, c, u) are their derivatives by the
     unknowns, and ``longer`` (t, c) that by the logarithm of the duration, which comes last in the
-    gradient (u + 1,) and the Gauss-Newton matrix; both are empty without ``by``.
+    gradient (u + 1,), and in rows (t, c + 1, u + 1), whose squares are the Gauss-Newton matrix;
+    both are empty without ``by``.
     """
-    value, slope, curvature = logarithmic(1.0 - (moved**2).sum(axis=1) / limit**2)
+    value, slope, curvature = logarithmic(1.0 - (moved**2).sum(axis=1) / limit**2, soft)
     if by is None:
-        return float(value.sum()), np.empty(0), np.empty((0, 0))
+        return float(value.sum()), np.empty(0), np.empty((0, 0, 0))
     by = np.concatenate([by, longer[:, :, None]], axis=2)
     of_slack = -2.0 / limit**2 * np.einsum("tc,tcu->tu", moved, by)
     scaled = np.sqrt(2.0 / limit**2 * -slope)
     rows = np.concatenate(
-        [
-            of_slack * np.sqrt(curvature)[:, None],
-            (by * scaled[:, None, None]).reshape(-1, by.shape[2]),
-        ]
+        [(of_slack * np.sqrt(curvature)[:, None])[:, None], by * scaled[:, None, None]], axis=1
     )
-    return float(value.sum()), of_slack.T @ slope, rows.T @ rows
+    return float(value.sum()), of_slack.T @ slope, rows
+
+
+def localised(reach: int) -> Floats:
+    """Return factors (r,) for couplings of control points that are 0 to r − 1 apart.
+
+    A matrix without negative eigenvalues has none after it either (Gaspari and Cohn 1999,
+    eq. 4.10, with c = r/2; Schur's product theorem).
+    """
+    z = 2.0 * np.arange(reach) / reach
+    near = 1.0 + z**2 * (-5.0 / 3.0 + z * (0.625 + z * (0.5 - 0.25 * z)))
+    far = 4.0 + z * (-5.0 + z * (5.0 / 3.0 + z * (0.625 + z * (-0.5 + z / 12.0))))
+    far -= 2.0 / (3.0 * np.maximum(z, 1.0))
+    return np.where(z <= 1.0, near, far)
 
 
 def responded(held: Floats, lost: Floats) -> Floats:
@@ -674,9 +746,12 @@ def responded(held: Floats, lost: Floats) -> Floats:
     return depth[:-3]
 
 
-def logarithmic(slack: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return value, slope and curvature of −log(slack), continued as a parabola below 0.005."""
-    relaxed = 0.005
+def logarithmic(slack: Floats, soft: float) -> tuple[Floats, Floats, Floats]:
+    """Return value, slope and curvature of −log(slack), for small slack a parabola.
+
+    That begins ``soft`` times as far from 0 as at the end of an optimisation.
+    """
+    relaxed = soft * RELAXED_SHARE
     held, below = np.maximum(slack, relaxed), np.minimum(slack - relaxed, 0.0)
     curvature = 1.0 / held**2
     slope = -1.0 / held + curvature * below

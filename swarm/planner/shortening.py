@@ -30,6 +30,7 @@ from swarm.geometry.lumped_mass import Strands, cable_model
 from swarm.geometry.motion import Motion, through_states
 from swarm.planner.fold_problem import (
     LOSS_EVERY,
+    RELAXED_SHARE,
     RESTING,
     Coasting,
     Evaluation,
@@ -41,7 +42,7 @@ from swarm.planner.fold_problem import (
     modes,
 )
 from swarm.planner.pacing import swing_limit
-from swarm.planner.team_terms import Needs, Team
+from swarm.planner.team_terms import RELAXED, Needs, Team
 from swarm.planning import Plan
 from swarm.planning.assembly import fold_of, with_fold
 from swarm.planning.phase_motion import usable_acceleration
@@ -74,18 +75,33 @@ _AROUND = 0.75
 """Seconds around a moment for which what the certificate finds there counts: its intervals are half
 a second long, and a stop reaches farther."""
 
-_FIRST_WEIGHT, _LATER_WEIGHT, _LAST_WEIGHT, _GROWTH = 600.0, 1500.0, 3000.0, 1.2
-"""Weight of the duration at first, in later rounds and at last, and its growth in a step: with
-3,000, a hundred limits that hold the duration keep a thirtieth of their range."""
+_FIRST_WEIGHT, _LATER_WEIGHT, _LAST_WEIGHT = 300.0, 1500.0, 3000.0
+"""Weight of the duration at first, in later rounds and at last: with 3,000, a hundred limits that
+hold the duration keep a thirtieth of their range."""
+
+_GROWTH, _FASTER = 1.2, 0.3
+"""Growth of the weight in a step, and by how much more it grows with a whole one."""
 
 _BRIEF, _WHOLE, _NEAR_CENTRE, _FAR_FROM_CENTRE = 0.1, 0.3, 60.0, 200.0
 """Shares of a step from which on the weight grows, where the decrement is up to these."""
 
+_SOFTEST, _HARDER, _AS_EXCEEDED, _NEARLY_KEPT = 12.0, 0.6, 0.3, 30.0
+"""How far barriers are relaxed at first, over the end; by what that shrinks in a step at most; its
+share of what limits are exceeded by, which is at most the last one where the weight grows. Steps
+from where a stiff parabola counts are far too short, or far too long."""
+
 _MOST_STEPS, _CONVERGED = 80, 2.0
-"""Largest number of steps of a round, and the decrement at which a whole step ends it."""
+"""Largest number of steps of a round, and the decrement that ends it."""
 
 _HALVINGS, _DAMPINGS = 9, 6
 """Largest numbers of shorter and of more damped steps that are tried."""
+
+_STIFF = (1e-3, 1.0, 1.0, 1.0, 100.0)
+"""Damping of the duration's logarithm and of the line's x, y, z and heading, over that of control
+points."""
+
+_SOLVED, _ITERATIONS = 1e-3, 40
+"""Residual of a step's equations over its gradient, and most iterations for it."""
 
 _LARGEST_MOVE, _LARGEST_TURN, _LARGEST_CHANGE = 2.0, 0.3, 0.15
 """Metres by which a step moves a control point or the line, radians by which it turns the line, and
@@ -94,9 +110,6 @@ logarithm by which it changes the duration, at most."""
 _MEASURED_EVERY, _TOWARDS = 2, 0.5
 """Steps between measurements by lumped masses; share of a change of what is measured that counts,
 so that needs and motion do not chase each other."""
-
-_OVERSHOT = 1.15
-"""Measured swing over its limit up to which the weight grows."""
 
 _PERIOD, _LEAST_SWING, _LEAST_GAIN, _LARGEST_GAIN = 1.4, 0.15, 0.7, 8.0
 """Seconds in which strays and oscillators are compared, about a period; share of the limit that an
@@ -146,22 +159,21 @@ class Shortening:
 
 
 def shorten(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) -> None:
-    """Look for shorter folds, from a line that may be elsewhere to the same knot.
+    """Look for the shortest fold near that of a plan, from a line that may be elsewhere.
 
-    ``accepted`` is called with plans of ever shorter flights, and tells whether one keeps all that
-    is required: the last one that does is the shortest. ``progress`` is called with the name
-    of the stage and the share of it that is done.
+    That fold need not keep its limits: it has the right topology. ``accepted`` is called with
+    plans, and tells whether one keeps all that is required. ``progress`` is called with the name of
+    the stage and the share of it that is done.
 
     Raises :class:`swarm.errors.Refused` for more vehicles and a longer fold than can be solved.
     """
     short, fold = Shortening.of(plan)
     require_solvable(plan.vehicles, fold.duration, short.problem.count)
-    frozen = _measured_first(short, fold)
+    fold, frozen = _slow_enough(short, fold)
     wanted, room = (
         np.zeros_like(frozen.needs.strands),
         np.full(len(short.loss_shares), _ROOM_AFTER_LOSS),
     )
-    shortest = plan.flight_duration
     for number in range(_ROUNDS):
         progress("shortening the fold", number / _ROUNDS)
         weight = _LATER_WEIGHT if number else _FIRST_WEIGHT
@@ -171,12 +183,18 @@ def shorten(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) ->
             break
         needed = _wanted(short, found)
         missed = _missed_after_losses(short, found)
-        if found.flight_duration < shortest and accepted(found):
-            shortest = found.flight_duration
-            if not missed.any():
-                break
+        if accepted(found) and not missed.any():
+            break
         wanted, room = needed, room + _MORE_AFTER_LOSS * missed
     progress("shortening the fold", 1.0)
+
+
+def _slow_enough(short: Shortening, fold: Fold) -> tuple[Fold, Frozen]:
+    """Return a motion as slow as the limit of its swing asks for, and what is measured at it."""
+    _, stray = largest_stray(short.motion(fold), short.strands)
+    slower = max(1.0, float(np.sqrt(stray.max() / short.problem.limits.swing)))
+    fold = replace(fold, duration=slower * fold.duration)
+    return fold, replace(_measured_first(short, fold), soft=_SOFTEST)
 
 
 def require_solvable(vehicles: int, duration: float, control_points: int) -> None:
@@ -275,8 +293,7 @@ def _centred(
 
     ``wanted`` are least needs of strands (s, m, m), and the room (l,) after lost setpoints.
     """
-    problem, limit = short.problem, short.problem.limits.swing
-    strands, room = wanted
+    problem, (strands, room) = short.problem, wanted
     frozen = replace(frozen, coasting=_coasting(short, fold, room))
     damping, stray = 1.0, 0.0
     for number in range(1, _MOST_STEPS + 1):
@@ -288,15 +305,30 @@ def _centred(
         if measured:
             frozen, stray = _with_gains(short, fold, frozen, shown, _TOWARDS)
             frozen = replace(frozen, coasting=_coasting(short, fold, room))
-        within = stray <= limit / _WITHIN
-        whole = step.share == 1.0 and step.decrement < _CONVERGED
-        if whole and within and measured and weight >= _LAST_WEIGHT:
+        exceeded = _exceeded(problem.limits, shown, stray)
+        soft = max(_HARDER * frozen.soft, min(_AS_EXCEEDED * exceeded, _SOFTEST), 1.0)
+        frozen = replace(frozen, soft=soft)
+        kept = exceeded == 0.0 and soft == 1.0 and measured
+        if kept and step.share and step.decrement < _CONVERGED and weight == _LAST_WEIGHT:
             break
         near = step.decrement < _NEAR_CENTRE
         enough = step.share > (_BRIEF if near else _WHOLE) and step.decrement < _FAR_FROM_CENTRE
-        if enough and stray < _OVERSHOT * limit:
-            weight = min(weight * _GROWTH, _LAST_WEIGHT)
+        if enough and exceeded < _NEARLY_KEPT:
+            weight = min(weight * (_GROWTH + _FASTER * step.share), _LAST_WEIGHT)
     return fold, frozen
+
+
+def _exceeded(limits: Limits, shown: Evaluation, stray: float) -> float:
+    """Return the most by which a limit or a need is missed, over what its barrier is relaxed by.
+
+    The swing is that of lumped masses, a ``stray`` in metres. 0 where all are kept.
+    """
+    used = (
+        shown.speed / limits.speed, shown.acceleration / limits.acceleration,
+        _WITHIN * stray / limits.swing, shown.sinking / limits.sinking,
+    )  # fmt: skip
+    missed = max(shown.missed, shown.missed_after_losses)
+    return max((max(used) ** 2 - 1.0) / RELAXED_SHARE, missed / RELAXED, 0.0)
 
 
 def _with_needs(
@@ -401,19 +433,15 @@ def _newton_step(
 ) -> Step:
     """Return the motion after a damped Newton step, as long as it lowers the cost."""
     shown, slopes = problem.derived(fold, frozen)
-    gradient, matrix = _by_unknowns(problem, fold, slopes, weight)
-    scale = np.ones(len(gradient))
-    scale[0], scale[4] = 1e-3, 100.0
+    quadratic = _by_unknowns(problem, fold, slopes, weight)
+    gradient = quadratic.gradient
     before = shown.cost + weight * np.log(fold.duration)
     for _ in range(_DAMPINGS):
-        damped = matrix.copy()
-        damped[np.diag_indices(len(damped))] += damping * scale
         try:
-            factor = scipy.linalg.cho_factor(damped, overwrite_a=True, check_finite=False)
+            step = quadratic.step(damping)
         except np.linalg.LinAlgError:
             damping *= 10.0
             continue
-        step = -scipy.linalg.cho_solve(factor, gradient, check_finite=False)
         decrement = -float(gradient @ step)
         moves = np.delete(step, (0, 4))
         share = 1.0 / max(
@@ -434,33 +462,107 @@ def _newton_step(
             share *= 0.5
         if best is not None:
             _, there, share = best
-            if share > 0.2:
-                damping = max(0.5 * damping, 1e-3)
-            elif share < 0.03:
-                damping = min(1.5 * damping, 30.0)
+            if share == 1.0:
+                damping = max(0.3 * damping, 1e-3)
+            elif share < 0.3:
+                damping = min(3.0 * damping, 1e4)
             return Step(there, damping, share, decrement)
         damping = min(8.0 * damping, 1e3)
     return Step(fold, damping, 0.0, 0.0)
 
 
-def _by_unknowns(
-    problem: Problem, fold: Fold, slopes: Slopes, weight: float
-) -> tuple[Floats, Floats]:
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """Gradient and matrix of the cost by the duration's logarithm, the pose, and control points.
+
+    ``gradient`` (5 + u,); of the matrix, the ``corner`` (5, 5) of the first unknowns, the
+    ``border`` (u, 5) of these with control points, and what ``slopes`` have of the latter.
+    """
+
+    gradient: Floats
+    corner: Floats
+    border: Floats
+    slopes: Slopes
+    inner: slice
+
+    def step(self, damping: float) -> Floats:
+        """Return the damped Newton step (5 + u,), by conjugate gradients.
+
+        Preconditioned by the matrix with memory only in a band, which is solved exactly.
+
+        Raises :class:`numpy.linalg.LinAlgError` where rounding leaves a factor undefined.
+        """
+        band = self.slopes.band[:, self.inner].copy()
+        if self.slopes.near is not self.slopes.band:
+            band += self.slopes.near[:, self.inner]
+        band[0] += damping
+        factor = scipy.linalg.cholesky_banded(
+            band, overwrite_ab=True, lower=True, check_finite=False
+        )
+
+        def solved(sides: Floats) -> Floats:
+            found: Floats = scipy.linalg.cho_solve_banded((factor, True), sides, check_finite=False)
+            return found
+
+        by_border = solved(self.border)
+        # What remains of the first five unknowns when the others are solved for; with memory only
+        # in a band it may have negative eigenvalues, whose sizes serve as well.
+        corner = self.corner + damping * np.diag(_STIFF)
+        values, axes = np.linalg.eigh(corner - self.border.T @ by_border)
+        rest = (axes / np.maximum(np.abs(values), damping * _STIFF[0])) @ axes.T
+
+        def preconditioned(vector: Floats) -> Floats:
+            inner = solved(vector[5:])
+            first = rest @ (vector[:5] - self.border.T @ inner)
+            return np.concatenate([first, inner - by_border @ first])
+
+        def times(vector: Floats) -> Floats:
+            first, inner = vector[:5], vector[5:]
+            moved = self._times(inner) + damping * inner + self.border @ first
+            return np.concatenate([corner @ first + self.border.T @ inner, moved])
+
+        size = (len(self.gradient),) * 2
+        step, _ = scipy.sparse.linalg.cg(
+            scipy.sparse.linalg.LinearOperator(size, times), -self.gradient, rtol=_SOLVED,
+            maxiter=_ITERATIONS, M=scipy.sparse.linalg.LinearOperator(size, preconditioned),
+        )  # fmt: skip
+        found: Floats = step
+        return found
+
+    def _times(self, inner: Floats) -> Floats:
+        """Return the matrix of the control points (u, u) times a vector (u,)."""
+        whole = np.zeros(self.slopes.gradient.shape)
+        whole.reshape(-1)[self.inner] = inner
+        return matrix_times(self.slopes, whole).reshape(-1)[self.inner]
+
+
+def matrix_times(slopes: Slopes, vector: Floats) -> Floats:
+    """Return the Gauss-Newton matrix of all control points times a vector (k, 3n)."""
+    high = len(slopes.band)
+    flat = scipy.linalg.blas.dsbmv(high - 1, 1.0, slopes.band, vector.reshape(-1), lower=1)
+    found: Floats = flat.reshape(vector.shape)
+    for part in slopes.remembered:
+        part.times(vector, found)
+    return found
+
+
+def _by_unknowns(problem: Problem, fold: Fold, slopes: Slopes, weight: float) -> Quadratic:
     """Return gradient and matrix by the duration's logarithm, the pose, and control points."""
     edge = RESTING * 3 * len(problem.folded)
     inner = slice(edge, slopes.gradient.size - edge)
     by_pose = problem.by_pose(fold.pose)
     flat, mixed = slopes.gradient.reshape(-1), slopes.mixed.reshape(-1)
     gradient = np.concatenate([[slopes.by_duration + weight], by_pose.T @ flat, flat[inner]])
-    matrix = np.empty((len(gradient),) * 2)
-    moved = slopes.matrix @ by_pose
-    matrix[0, 0] = max(slopes.twice, 1e-3)
-    matrix[0, 1:5], matrix[0, 5:] = by_pose.T @ mixed, mixed[inner]
-    matrix[1:, 0] = matrix[0, 1:]
-    matrix[1:5, 1:5], matrix[5:, 1:5] = by_pose.T @ moved, moved[inner]
-    matrix[1:5, 5:] = matrix[5:, 1:5].T
-    matrix[5:, 5:] = slopes.matrix[inner, inner]
-    return gradient, matrix
+    shape = slopes.gradient.shape
+    moved = np.column_stack(
+        [matrix_times(slopes, each.reshape(shape)).reshape(-1) for each in by_pose.T]
+    )
+    corner = np.empty((5, 5))
+    corner[0, 0] = max(slopes.twice, 1e-3)
+    corner[0, 1:] = corner[1:, 0] = by_pose.T @ mixed
+    corner[1:, 1:] = by_pose.T @ moved
+    border = np.column_stack([mixed[inner], moved[inner]])
+    return Quadratic(gradient, corner, border, slopes, inner)
 
 
 def _moved(fold: Fold, step: Floats, share: float) -> Fold:

@@ -92,11 +92,16 @@ class Found(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """Arrays: points of strands (m, p, 3), their responses (m, p, 5), and boxes (m, 6)."""
+    """Points of strands (m, p, 3), their responses (m, p, 5), and boxes around them (m, 6).
+
+    ``written`` (m,) is 1 for strands whose points are those of the pose: of others, which are not
+    near anything that counts, only a box is.
+    """
 
     points: Floats3
     responses: Floats3
     boxes: Floats2
+    written: Ints1
 
 
 class Derivatives(NamedTuple):
@@ -112,7 +117,7 @@ class Poses(NamedTuple):
     """Positions (s, n, 3) of a team, with the rows (s,) of its needs, and a vehicle (s,).
 
     Only what involves that vehicle counts: all of it for −1. Barriers end at ``range`` metres, and
-    cost ``weight`` times as much.
+    cost ``weight`` times as much; they are parabolas below ``relaxed`` metres.
     """
 
     places: Floats3
@@ -120,15 +125,17 @@ class Poses(NamedTuple):
     vehicles: Ints1
     range: float
     weight: float
+    relaxed: float
 
 
 class _At(NamedTuple):
-    """A pose: its number, the row of its needs, the range of barriers, and whether to derive."""
+    """A pose: its number, the row of its needs, its barriers, and whether to derive."""
 
     pose: int
     row: int
     range: float
     weight: float
+    relaxed: float
     derive: bool
 
 
@@ -289,6 +296,31 @@ def _write_box(points: Floats, box: Floats) -> None:
 
 
 @inner
+def _write_bounds(start: Floats, end: Floats, length: float, box: Floats) -> None:
+    """Write a box (6,) around a strand of a length, from its ends alone.
+
+    Its lowest point is no farther below the lower end than that of a triangle of the same length.
+    """
+    for x in range(3):
+        box[x], box[x + 3] = min(start[x], end[x]), max(start[x], end[x])
+    east, north = end[0] - start[0], end[1] - start[1]
+    box[2] -= 0.5 * np.sqrt(max(length * length - east * east - north * north, 0.0))
+
+
+@inner
+def _require_strand(
+    i: int, at: _At, place: Floats, team: Team, found: Found, memory: Memory
+) -> None:
+    """Write a strand's points, responses, box and sag, if they are not those of the pose."""
+    if memory.written[i] == 0:
+        found.sags[at.row, i] = _write_strand(
+            place[i], place[i + 1], team.lengths[i], memory.points[i], memory.responses[i]
+        )
+        _write_box(memory.points[i], memory.boxes[i])
+        memory.written[i] = 1
+
+
+@inner
 def _gap(boxes: Floats, i: int, j: int) -> float:
     """Return a lower bound of the distance of the boxes around two strands."""
     gap = 0.0
@@ -320,13 +352,14 @@ def _moment(
     derivatives: Derivatives, derive: bool,
 ) -> float:  # fmt: skip
     place, strands, only = poses.places[s], len(team.lengths), poses.vehicles[s]
-    at = _At(s, poses.rows[s], poses.range, poses.weight, derive)
+    at = _At(s, poses.rows[s], poses.range, poses.weight, poses.relaxed, derive)
     for i in range(strands):
-        found.sags[at.row, i] = _write_strand(
-            place[i], place[i + 1], team.lengths[i], memory.points[i], memory.responses[i]
-        )
-        _write_box(memory.points[i], memory.boxes[i])
+        memory.written[i] = 0
+        _write_bounds(place[i], place[i + 1], team.lengths[i], memory.boxes[i])
     cost = 0.0
+    for i in range(strands):
+        if only < 0 or only in (i, i + 1):
+            cost += _strand_alone(at, i, place, team, needs, found, memory, derivatives)
     for i in range(strands):
         for j in range(i + 1, strands):
             if only < 0 or only in (i, i + 1, j, j + 1):
@@ -338,10 +371,19 @@ def _moment(
         for j in range(strands):
             if only < 0 or only in (i, j, j + 1):
                 cost += _bodies(at, i, j, place, team, needs, found, memory, derivatives)
-    for i in range(strands):
-        if only < 0 or only in (i, i + 1):
-            cost += _strand_alone(at, i, place, team, needs, found, memory, derivatives)
     return cost
+
+
+@inner
+def _are_near(
+    i: int, j: int, reach: float, at: _At, place: Floats, team: Team, found: Found, memory: Memory
+) -> bool:
+    """Return whether two strands may be nearer than ``reach``; then both are written."""
+    for k in (i, j):
+        if _gap(memory.boxes, i, j) > reach:
+            return False
+        _require_strand(k, at, place, team, found, memory)
+    return bool(_gap(memory.boxes, i, j) <= reach)
 
 
 @inner
@@ -351,9 +393,8 @@ def _strands(
 ) -> float:  # fmt: skip
     """Cost of two strands: of all pairs of their pieces that are near, but beside a shared grip."""
     need = needs.strands[at.row, i, j]
-    gap = _gap(memory.boxes, i, j)
     found.strands[at.row, i, j], found.distances[at.row, i, j] = 0.0, 9.0
-    if gap > need + at.range:
+    if not _are_near(i, j, need + at.range, at, place, team, found, memory):
         return 0.0
     first, second = memory.points[i], memory.points[j]
     pieces, near = len(first) - 1, j == i + 1
@@ -387,7 +428,7 @@ def _strands(
                 else:
                     moved += _size(here) + _size(rest_there)
                 found.strands[at.row, i, j] = team.cable + team.tracking * moved
-            value, slope, curvature = barrier(distance - need, at.range, RELAXED)
+            value, slope, curvature = barrier(distance - need, at.range, at.relaxed)
             cost += _PART * value
             if at.derive:
                 _set(derivatives.by, 0, rest_here, 1.0)
@@ -413,7 +454,7 @@ def _vehicles(
     if slack >= at.range:
         return 0.0
     found.missed[at.row] = max(found.missed[at.row], -slack)
-    value, slope, curvature = barrier(slack, at.range, RELAXED)
+    value, slope, curvature = barrier(slack, at.range, at.relaxed)
     if at.derive:
         direction = (x / level, y / level, 0.0)
         if above > aside:
@@ -422,6 +463,15 @@ def _vehicles(
         _set(derivatives.by, 1, direction, -1.0)
         _add(derivatives, at, (i, j, 0, 0), 2, slope, curvature)
     return value
+
+
+@inner
+def _outside(x: float, y: float, z: float, box: Floats, reach: float) -> bool:
+    """Return whether a point is farther than ``reach`` from a box (6,) along an axis."""
+    return bool(
+        x > box[3] + reach or y > box[4] + reach or z > box[5] + reach
+        or x < box[0] - reach or y < box[1] - reach or z < box[2] - reach
+    )  # fmt: skip
 
 
 @inner
@@ -436,10 +486,10 @@ def _bodies(
     x, y, z = place[i, 0], place[i, 1], place[i, 2] + team.offset
     found.bodies[at.row, i, j] = 0.0
     boxes, reach = memory.boxes[j], need + end
-    if (
-        x > boxes[3] + reach or y > boxes[4] + reach or z > boxes[5] + reach
-        or x < boxes[0] - reach or y < boxes[1] - reach or z < boxes[2] - reach
-    ):  # fmt: skip
+    if _outside(x, y, z, boxes, reach):
+        return 0.0
+    _require_strand(j, at, place, team, found, memory)
+    if _outside(x, y, z, boxes, reach):
         return 0.0
     points, cost, best = memory.points[j], 0.0, np.inf
     for b in range(len(points) - 1):
@@ -460,7 +510,7 @@ def _bodies(
             found.bodies[at.row, i, j] = team.body + team.tracking * (
                 1.0 + _size(there) + _size(rest)
             )
-        value, slope, curvature = barrier(distance - need, end, RELAXED)
+        value, slope, curvature = barrier(distance - need, end, at.relaxed)
         cost += _PART * value
         if at.derive:
             _set(derivatives.by, 0, normal, 1.0)
@@ -483,7 +533,7 @@ def _strand_alone(
     )  # fmt: skip
     chord = max(_size(along), 1e-9)
     slack = team.chord * team.lengths[i] - chord - needs.taut[at.row]
-    cost, slope, curvature = barrier(slack, _CHORD_RANGE, 0.5 * RELAXED)
+    cost, slope, curvature = barrier(slack, _CHORD_RANGE, 0.5 * at.relaxed)
     found.missed[at.row] = max(found.missed[at.row], -slack)
     if at.derive and cost > 0.0:
         direction = (along[0] / chord, along[1] / chord, along[2] / chord)
@@ -491,7 +541,7 @@ def _strand_alone(
         _set(derivatives.by, 1, direction, -1.0)
         _add(derivatives, at, (i, i + 1, 0, 0), 2, slope, curvature)
     value, slope, curvature = barrier(
-        _STEEPEST * team.lengths[i] - abs(along[2]), _STEEP_RANGE, RELAXED
+        _STEEPEST * team.lengths[i] - abs(along[2]), _STEEP_RANGE, at.relaxed
     )
     cost += value
     if at.derive and value > 0.0:
@@ -499,6 +549,7 @@ def _strand_alone(
         _set(derivatives.by, 0, direction, 1.0)
         _set(derivatives.by, 1, direction, -1.0)
         _add(derivatives, at, (i, i + 1, 0, 0), 2, slope, curvature)
+    _require_strand(i, at, place, team, found, memory)
     points = memory.points[i]
     lowest, up, last = 0, (0.0, 0.0, 1.0), len(points) - 2
     for k in range(1, last + 2):
@@ -510,7 +561,7 @@ def _strand_alone(
     rest = _less(up, there)
     found.floor[at.row, i] = team.floor + team.tracking * (_size(there) + _size(rest))
     slack = height - needs.floor[at.row, i]
-    value, slope, curvature = barrier(slack, at.range, RELAXED)
+    value, slope, curvature = barrier(slack, at.range, at.relaxed)
     cost += value
     found.missed[at.row] = max(found.missed[at.row], -slack)
     if at.derive and value > 0.0:
@@ -575,8 +626,11 @@ class Splines(NamedTuple):
 
 
 @compiled
-def scatter(splines: Splines, weight: float, blocks: Floats3, matrix: Floats2) -> None:
-    """Add to ``matrix`` (k·3n, k·3n) the blocks (s, 3n, 3n) of poses, by the splines at them."""
+def scatter(splines: Splines, weight: float, blocks: Floats3, band: Floats2) -> None:
+    """Add to a matrix (k·3n, k·3n) the blocks (s, 3n, 3n) of poses, by the splines at them.
+
+    Of the matrix, the lower ``band`` (h, k·3n) is kept: row r, column c in ``band[r − c, c]``.
+    """
     poses, vehicles, many = splines.shares.shape
     for s in range(poses):
         for i in range(vehicles):
@@ -594,9 +648,44 @@ def scatter(splines: Splines, weight: float, blocks: Floats3, matrix: Floats2) -
                         factor = weight * splines.shares[s, i, a] * splines.shares[s, j, b]
                         for x in range(3):
                             for y in range(3):
-                                matrix[row + x, column + y] += (
-                                    factor * blocks[s, 3 * i + x, 3 * j + y]
-                                )
+                                below = row + x - column - y
+                                if below >= 0:
+                                    band[below, column + y] += (
+                                        factor * blocks[s, 3 * i + x, 3 * j + y]
+                                    )
+
+
+@compiled
+def scatter_products(
+    products: Floats2, first: int, pair: Ints1, signs: Floats1, taper: Floats1, band: Floats2,
+    knot: int,
+) -> None:  # fmt: skip
+    """Add to a lower band (as in :func:`scatter`) products of vectors by control points.
+
+    ``products`` (a·u·3, b·u·3) are between control points from the ``first`` on, of u vehicles: of
+    each of the ``pair`` (2,), or of their sum with ``signs`` (2,). ``taper`` (r,) multiplies those
+    of control points that are so many apart; farther ones are left out. ``knot`` is 3n.
+    """
+    units = len(pair) if signs[0] == 0.0 else 1
+    for p in range(products.shape[0]):
+        at = first + p // (3 * units)
+        for q in range(products.shape[1]):
+            apart = q // (3 * units) - p // (3 * units)
+            if apart < 0 or apart >= len(taper):
+                continue
+            product = taper[apart] * products[p, q]
+            row, column = knot * (at + apart) + q % 3, knot * at + p % 3
+            for u in range(len(pair)):
+                for v in range(len(pair)):
+                    if units == 1:
+                        scaled = signs[u] * signs[v] * product
+                    elif u == p // 3 % units and v == q // 3 % units:
+                        scaled = product
+                    else:
+                        continue
+                    below = row + 3 * pair[v] - column - 3 * pair[u]
+                    if below >= 0:
+                        band[below, column + 3 * pair[u]] += scaled
 
 
 @compiled
