@@ -192,7 +192,8 @@ def _connect(folder: Path) -> socket.socket:
         raise Refused(f"{folder}: {words}") from None
     except OSError as error:
         connection.close()
-        words = f"expected the record of a flight that runs: {reason(error)}"
+        why = "it has ended" if (folder / "summary.json").exists() else reason(error)
+        words = f"expected the record of a flight that runs: {why}"
         raise InputError([Problem(str(folder), words)]) from None
     return connection
 

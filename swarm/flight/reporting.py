@@ -230,7 +230,7 @@ def snapshot_of(flight: FlightState, now: float) -> Snapshot:
         armed=tuple(vehicle.armed for vehicle in vehicles),
         gripped=tuple(vehicle.gripped for vehicle in vehicles),
         battery=np.array([vehicle.battery for vehicle in vehicles]),
-        link_age=np.array([now - vehicle.received_at for vehicle in vehicles]),
+        link_age=np.array([max(now - vehicle.received_at, 0.0) for vehicle in vehicles]),
         clearances=flight.clearances,
         available={name: (one.open, one.words) for name, one in available(flight).items()},
         round_trip=np.array([vehicle.latest_round_trip for vehicle in vehicles]),

@@ -158,6 +158,7 @@ def test_two_browsers_command_a_flight(tmp_path, browser):
             assert page.evaluate("document.getElementById('above').width") > 300
 
         shows(anna, "#phases .current", "fold")
+        shows(anna, "#team tbody", re.compile(r"\d\.\d\d of 0\.\d\d m"))
         anna.keyboard.press("h")
         shows(anna, "#answer", "hold: all stop along the path")
         for page in (anna, ben):

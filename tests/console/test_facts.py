@@ -73,6 +73,7 @@ def test_a_tracking_error_stands_beside_what_is_certified(off, level):
     assert (row["level"], row["why"]) == (
         level, f"{off:.2f} m from its setpoint, 0.10 m allowed",
     )  # fmt: skip
+    assert (row["error"], row["allowed"]) == (pytest.approx(off), 0.1)
 
 
 def test_the_closest_pair_of_each_kind_stands_beside_its_limit():
@@ -199,6 +200,8 @@ def test_a_flight_says_who_is_missing_when_all_have_landed_and_which_windows_are
     assert (seen.missing, seen.problems) == ((), ("", "", ""))
     assert seen.windows["release"] == 0.0
     assert seen.fix.tolist() == [6.0] * 3
+    # a packet that comes between a tick and its snapshot is not older than nothing
+    assert (flight.conductor.snapshot(flight.now - 0.5).link_age == 0.0).all()
     flight.conductor.request("hold", "Anna (console 1)")
     assert flight.conductor.snapshot(flight.now).landing is None
     (words,) = [e.message for e in flight.conductor.events() if e.kind == "operator"]

@@ -350,14 +350,17 @@ def test_a_closed_pipe_ends_the_screen_and_not_the_flight(tmp_path):
     assert "landing together" in (tmp_path / "flight" / "events.jsonl").read_text()
 
 
-def test_a_flight_that_does_not_run_has_no_screen(tmp_path):
-    ended = subprocess.run(
-        [SWARM, "attach", "nowhere"], capture_output=True, text=True, check=False, cwd=tmp_path
+@pytest.mark.parametrize(
+    ("record", "why"), [("nowhere", "no such file or directory"), ("ended", "it has ended")]
+)
+def test_a_flight_that_does_not_run_has_no_screen(tmp_path, record, why):
+    (tmp_path / "ended").mkdir()
+    (tmp_path / "ended" / "summary.json").write_text("{}")
+    done = subprocess.run(
+        [SWARM, "attach", record], capture_output=True, text=True, check=False, cwd=tmp_path
     )
-    assert (ended.returncode, ended.stdout) == (2, "")
-    assert ended.stderr == (
-        "nowhere: expected the record of a flight that runs: no such file or directory\n"
-    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == f"{record}: expected the record of a flight that runs: {why}\n"
 
 
 def test_a_record_that_cannot_be_written_is_refused_before_arming(tmp_path):

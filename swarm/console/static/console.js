@@ -249,13 +249,14 @@ function showWait() {
 function showRow(cells, row) {
   const labels = ["", "", "mode", "height", "error", "battery", "position", "link", "grip"];
   const volts = row.voltage === null ? "" : `, ${row.voltage.toFixed(1)} V`;
+  const allowed = row.error === null ? "" : row.allowed === null ? " m" : ` of ${row.allowed.toFixed(2)} m`;
   const link = row.age === null ? "never" : [
     `${row.age.toFixed(1)} s`,
     row.rate === null ? "" : `${row.rate.toFixed(0)}/s`,
     row.loss === null ? "" : `${(100 * row.loss).toFixed(1)} % lost`,
   ].filter(Boolean).join(", ");
   const texts = [String(row.number), row.why ? `${row.state}: ${row.why}` : row.state, row.mode || "–",
-    number(row.height, 2, " m"), number(row.error, 2, " m"),
+    number(row.height, 2, " m"), number(row.error, 2, "") + allowed,
     row.battery === null ? "–" : `${(100 * row.battery).toFixed(0)} %${volts}`, row.fix, link,
     row.gripped ? "holds cable" : "open"];
   texts.forEach((text, k) => {
