@@ -17,7 +17,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import permutations
+from itertools import chain, permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -229,6 +229,28 @@ class _Moved(NamedTuple):
     longer: Floats
 
 
+class _Compared(NamedTuple):
+    """Poses of a team, the cost of their clearances, what they show, and the derivatives."""
+
+    moved: _Moved
+    cost: float
+    found: Found
+    derivatives: Derivatives
+
+
+def _add_poses(slopes: Slopes, compared: _Compared) -> None:
+    """Add the derivatives of poses by control points and the duration."""
+    moved, by = compared.moved, compared.derivatives
+    longer = moved.longer.reshape(len(moved.longer), -1)
+    gather(moved.splines, by.gradient, slopes.gradient)
+    scatter(moved.splines, 1.0, by.matrix, slopes.band)
+    if longer.any():
+        pushed = np.einsum("sxy,sy->sx", by.matrix, longer)
+        slopes.by_duration += float((by.gradient * longer).sum())
+        gather(moved.splines, pushed, slopes.mixed)
+        slopes.twice += float((pushed * longer).sum())
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """What a fold is: its team, limits, the ``folded`` corners (n, 3), and the line.
@@ -352,16 +374,9 @@ class Problem:
         """Return the cost of a motion; add its derivatives to ``slopes``."""
         control = self.control(fold)
         place, velocity, acceleration = self._states(control, self.basis, fold.duration)
-        planned = self._planned(place, frozen.soft)
-        distances, found = self._clearances(planned, self.team, frozen.needs, slopes)
-        losses, missed = 0.0, 0.0
-        if frozen.coasting is not None:
-            for moved in self._lost(
-                control, place, velocity, fold.duration, frozen.coasting, frozen.soft
-            ):
-                cost, after = self._clearances(moved, self.after, frozen.coasting.needs, slopes)
-                losses += cost
-                missed = max(missed, float(after.missed.max()))
+        distances, found, missed = self._distances(
+            control, place, velocity, fold.duration, frozen, slopes
+        )
         motion = sum(
             self._bounded(order, state, limit, fold.duration, frozen.soft, slopes)
             for order, state, limit in (
@@ -372,7 +387,7 @@ class Problem:
         swung, swings = self._swing(velocity, acceleration, fold.duration, frozen, slopes)
         sunk, sinking = self._sinking(place, fold.duration, frozen.soft, slopes)
         smooth = self._smoothness(control.reshape(self.count, -1), fold.duration, slopes)
-        cost = float(distances + losses + motion + swung + sunk + smooth)
+        cost = float(distances + motion + swung + sunk + smooth)
         return Evaluation(
             cost=cost,
             found=found,
@@ -384,10 +399,35 @@ class Problem:
             sinking=sinking,
         )
 
+    def _distances(
+        self, control: Floats, place: Floats, velocity: Floats, duration: float, frozen: Frozen,
+        slopes: Slopes | None,
+    ) -> tuple[float, Found, float]:  # fmt: skip
+        """Return the cost of all distances, what the motion itself shows, and the largest missed
+        need after losses of setpoints, metres; add the derivatives."""
+        coasting = frozen.coasting
+        planned = self._planned(place, frozen.soft), self.team, frozen.needs
+        lost: Iterator[_Moved] = iter(())
+        if coasting is not None:
+            lost = self._lost(control, place, velocity, duration, coasting, frozen.soft)
+
+        def compared(task: tuple[_Moved, Team, Needs]) -> _Compared:
+            return self._compared(*task, derive=slopes is not None)
+
+        tasks = ((moved, self.after, coasting.needs) for moved in lost if coasting is not None)
+        total, shown = 0.0, []
+        for one in side_by_side(compared, chain([planned], tasks)):
+            total += one.cost
+            shown.append(one.found)
+            if slopes is not None:
+                _add_poses(slopes, one)
+        after = max((float(found.missed.max()) for found in shown[1:]), default=0.0)
+        return total, shown[0], after
+
     def shown_by(self, places: Floats, needs: Needs) -> Found:
         """Return what poses (s, n, 3) show with their needs; at most as many as the moments."""
         planned = self._planned(places, 1.0)
-        return self._clearances(planned, self.team, needs, None)[1]
+        return self._compared(planned, self.team, needs, derive=False).found
 
     def _planned(self, place: Floats, soft: float) -> _Moved:
         """Return the poses of the motion itself."""
@@ -447,13 +487,10 @@ class Problem:
                     np.where(wide, lost_longer, team_longer),
                 )  # fmt: skip
 
-    def _clearances(
-        self, moved: _Moved, team: Team, needs: Needs, slopes: Slopes | None
-    ) -> tuple[float, Found]:
-        """Return the cost of all clearances of poses, and what they show; add the derivatives."""
+    def _compared(self, moved: _Moved, team: Team, needs: Needs, *, derive: bool) -> _Compared:
+        """Return the cost of all clearances of poses, what they show, and the derivatives."""
         s, n, _ = moved.poses.places.shape
-        m, derive = n - 1, slopes is not None
-        rows = len(needs.floor)
+        m, rows = n - 1, len(needs.floor)
         found = Found(
             np.zeros((rows, m, m)), np.zeros((rows, n, m)), np.zeros((rows, m)),
             np.zeros((rows, m, m)), np.zeros((rows, m)), np.zeros(rows),
@@ -465,16 +502,7 @@ class Problem:
         blocks = np.zeros((s if derive else 1, 3 * n, 3 * n))
         derivatives = Derivatives(np.zeros((s, 3 * n)), blocks, np.empty((4, 3)))
         cost = add_clearances(moved.poses, team, needs, found, memory, derivatives, derive)
-        if slopes is not None:
-            longer = moved.longer.reshape(s, -1)
-            gather(moved.splines, derivatives.gradient, slopes.gradient)
-            scatter(moved.splines, 1.0, blocks, slopes.band)
-            if longer.any():
-                pushed = np.einsum("sxy,sy->sx", blocks, longer)
-                slopes.by_duration += float((derivatives.gradient * longer).sum())
-                gather(moved.splines, pushed, slopes.mixed)
-                slopes.twice += float((pushed * longer).sum())
-        return cost, found
+        return _Compared(moved, cost, found, derivatives)
 
     def _bounded(
         self, order: int, state: Floats, limit: float, duration: float, soft: float,

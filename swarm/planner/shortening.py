@@ -42,7 +42,7 @@ from swarm.planner.fold_problem import (
     modes,
 )
 from swarm.planner.pacing import swing_limit
-from swarm.planner.team_terms import RELAXED, Needs, Team
+from swarm.planner.team_terms import RELAXED, Needs, Team, band_times
 from swarm.planning import Plan
 from swarm.planning.assembly import fold_of, with_fold
 from swarm.planning.phase_motion import usable_acceleration
@@ -298,8 +298,7 @@ def _centred(
     damping, stray = 1.0, 0.0
     for number in range(1, _MOST_STEPS + 1):
         step = _newton_step(problem, fold, frozen, weight, damping)
-        fold, damping = step.fold, step.damping
-        shown = problem.evaluate(fold, frozen)
+        fold, shown, damping = step.fold, step.shown, step.damping
         frozen = _with_needs(short, frozen, shown, strands, _TOWARDS)
         measured = number % _MEASURED_EVERY == 0
         if measured:
@@ -419,10 +418,12 @@ def _missed_after_losses(short: Shortening, plan: Plan) -> npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A motion after a step, the damping of the next one, the ``share`` of the step that was taken
-    (0 where none succeeded), and its ``decrement``: twice what a whole step was to save."""
+    """A motion after a step and what it shows, the damping of the next one, the ``share`` of the
+    step that was taken (0 where none succeeded), and its ``decrement``: twice what a whole step was
+    to save."""
 
     fold: Fold
+    shown: Evaluation
     damping: float
     share: float
     decrement: float
@@ -448,27 +449,27 @@ def _newton_step(
             1.0, float(np.abs(moves).max()) / _LARGEST_MOVE, abs(step[4]) / _LARGEST_TURN,
             abs(step[0]) / _LARGEST_CHANGE,
         )  # fmt: skip
-        best: tuple[float, Fold, float] | None = None
+        best: tuple[float, Fold, Evaluation, float] | None = None
         for _ in range(_HALVINGS):
             there = _moved(fold, step, share)
-            cost = problem.evaluate(there, frozen).cost
-            cost += weight * float(np.log(there.duration))
+            seen = problem.evaluate(there, frozen)
+            cost = seen.cost + weight * float(np.log(there.duration))
             if best is not None and cost >= best[0]:
                 break
             if cost < before:
-                best = cost, there, share
+                best = cost, there, seen, share
             if cost < before - 0.25 * share * decrement:
                 break
             share *= 0.5
         if best is not None:
-            _, there, share = best
+            _, there, seen, share = best
             if share == 1.0:
                 damping = max(0.3 * damping, 1e-3)
             elif share < 0.3:
                 damping = min(3.0 * damping, 1e4)
-            return Step(there, damping, share, decrement)
+            return Step(there, seen, damping, share, decrement)
         damping = min(8.0 * damping, 1e3)
-    return Step(fold, damping, 0.0, 0.0)
+    return Step(fold, shown, damping, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -533,16 +534,17 @@ class Quadratic:
         """Return the matrix of the control points (u, u) times a vector (u,)."""
         whole = np.zeros(self.slopes.gradient.shape)
         whole.reshape(-1)[self.inner] = inner
-        return matrix_times(self.slopes, whole).reshape(-1)[self.inner]
+        return matrix_times(self.slopes, whole[None]).reshape(-1)[self.inner]
 
 
-def matrix_times(slopes: Slopes, vector: Floats) -> Floats:
-    """Return the Gauss-Newton matrix of all control points times a vector (k, 3n)."""
-    high = len(slopes.band)
-    flat = scipy.linalg.blas.dsbmv(high - 1, 1.0, slopes.band, vector.reshape(-1), lower=1)
-    found: Floats = flat.reshape(vector.shape)
+def matrix_times(slopes: Slopes, vectors: Floats) -> Floats:
+    """Return the Gauss-Newton matrix of all control points times vectors (v, k, 3n)."""
+    found = np.empty(vectors.shape)
+    count = len(vectors)
+    band_times(slopes.band, vectors.reshape(count, -1), found.reshape(count, -1))
     for part in slopes.remembered:
-        part.times(vector, found)
+        for vector, product in zip(vectors, found, strict=True):
+            part.times(vector, product)
     return found
 
 
@@ -553,10 +555,8 @@ def _by_unknowns(problem: Problem, fold: Fold, slopes: Slopes, weight: float) ->
     by_pose = problem.by_pose(fold.pose)
     flat, mixed = slopes.gradient.reshape(-1), slopes.mixed.reshape(-1)
     gradient = np.concatenate([[slopes.by_duration + weight], by_pose.T @ flat, flat[inner]])
-    shape = slopes.gradient.shape
-    moved = np.column_stack(
-        [matrix_times(slopes, each.reshape(shape)).reshape(-1) for each in by_pose.T]
-    )
+    vectors = np.ascontiguousarray(by_pose.T).reshape(-1, *slopes.gradient.shape)
+    moved = matrix_times(slopes, vectors).reshape(len(vectors), -1).T
     corner = np.empty((5, 5))
     corner[0, 0] = max(slopes.twice, 1e-3)
     corner[0, 1:] = corner[1:, 0] = by_pose.T @ mixed

@@ -675,17 +675,30 @@ def scatter_products(
                 continue
             product = taper[apart] * products[p, q]
             row, column = knot * (at + apart) + q % 3, knot * at + p % 3
-            for u in range(len(pair)):
-                for v in range(len(pair)):
-                    if units == 1:
-                        scaled = signs[u] * signs[v] * product
-                    elif u == p // 3 % units and v == q // 3 % units:
-                        scaled = product
-                    else:
-                        continue
+            if units == 2:
+                row, column = row + 3 * pair[q // 3 % 2], column + 3 * pair[p // 3 % 2]
+                if row >= column:
+                    band[row - column, column] += product
+                continue
+            for u in range(2):
+                for v in range(2):
                     below = row + 3 * pair[v] - column - 3 * pair[u]
                     if below >= 0:
-                        band[below, column + 3 * pair[u]] += scaled
+                        band[below, column + 3 * pair[u]] += signs[u] * signs[v] * product
+
+
+@compiled
+def band_times(band: Floats2, vectors: Floats2, found: Floats2) -> None:
+    """Write to ``found`` (v, c) a symmetric matrix, of its lower ``band`` (h, c), times vectors."""
+    high, count = band.shape
+    found[:] = 0.0
+    for below in range(min(high, count)):
+        for v in range(len(vectors)):
+            for column in range(count - below):
+                found[v, column + below] += band[below, column] * vectors[v, column]
+            if below > 0:
+                for column in range(count - below):
+                    found[v, column] += band[below, column] * vectors[v, column + below]
 
 
 @compiled
