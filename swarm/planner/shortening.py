@@ -80,7 +80,8 @@ _FIRST_WEIGHT, _LATER_WEIGHT, _LAST_WEIGHT = 300.0, 1500.0, 3000.0
 hold the duration keep a thirtieth of their range."""
 
 _GROWTH, _FASTER = 1.2, 0.3
-"""Growth of the weight in a step, and by how much more it grows with a whole one."""
+"""Growth of the weight in a step, and by how much more it grows with a whole one: chosen among ten
+variants, as the relaxation below (results of plans, optimised folds)."""
 
 _BRIEF, _WHOLE, _NEAR_CENTRE, _FAR_FROM_CENTRE = 0.1, 0.3, 60.0, 200.0
 """Shares of a step from which on the weight grows, where the decrement is up to these."""
@@ -101,7 +102,8 @@ _STIFF = (1e-3, 1.0, 1.0, 1.0, 100.0)
 points."""
 
 _SOLVED, _ITERATIONS = 1e-3, 40
-"""Residual of a step's equations over its gradient, and most iterations for it."""
+"""Residual of a step's equations over its gradient, and most iterations for it: those of the
+overhand in a band take 10 to 40."""
 
 _LARGEST_MOVE, _LARGEST_TURN, _LARGEST_CHANGE = 2.0, 0.3, 0.15
 """Metres by which a step moves a control point or the line, radians by which it turns the line, and

@@ -67,7 +67,9 @@ class Client:
 
     def until_topics(self, topics: set[str], offer) -> None:
         """Read until all topics have messages; more is offered when all that came is read."""
+        deadline = time.monotonic() + PATIENCE
         while not topics <= {topic for topic, _ in self.messages}:
+            assert time.monotonic() < deadline, {topic for topic, _ in self.messages}
             offer()
             before = -1
             while len(self.messages) != before:
