@@ -48,6 +48,7 @@ from swarm.certification.stream_loss import (
     certify_stream_loss,
     limits_ahead,
 )
+from swarm.certification.swing_runs import ORDINARY_COURSES
 from swarm.certification.swing_tube import PairSwing, Swings, SwingTube
 from swarm.planning import Plan, digest
 from swarm.threads import both, side_by_side
@@ -144,10 +145,16 @@ class PlanChecks:
         return Swings.planned_in(self.plan)
 
     @cached_property
-    def ordinary_swings(self) -> Swings | None:
-        """Those, and the swings after ordinary stops and resumes."""
+    def some_swings(self) -> Swings | None:
+        """Those, and the swings after the first of the ordinary stops and resumes."""
         planned = self.planned_swings
-        return None if planned is None else planned.with_ordinary_stops()
+        return None if planned is None else planned.after(ORDINARY_COURSES[:1])
+
+    @cached_property
+    def ordinary_swings(self) -> Swings | None:
+        """Those, and the swings after all ordinary stops and resumes."""
+        some = self.some_swings
+        return None if some is None else some.after(ORDINARY_COURSES[1:])
 
     @cached_property
     def ordinary_tube(self) -> TubeRadii | None:
@@ -174,7 +181,7 @@ class PlanChecks:
         """
         ordinary, swings = self.ordinary_tube, self.ordinary_swings
         # 0.1 GB for the Carrick mat, which the tube takes over
-        for name in ("planned_swings", "ordinary_swings"):
+        for name in ("planned_swings", "some_swings", "ordinary_swings"):
             vars(self).pop(name, None)
         return None if swings is None or ordinary is None else swings.tube(ordinary)
 
@@ -185,8 +192,9 @@ class PlanChecks:
         """
         certified = self.plan.mission.fold.certifies_swing
         # those of all strands only where they are known already: near pairs take less time alone
-        known = certified and "ordinary_swings" in vars(self)
-        begun = self.ordinary_swings if known else self.planned_swings
+        known = [name for name in ("ordinary_swings", "some_swings") if name in vars(self)]
+        begun: Swings | None = getattr(self, known[0]) if certified and known else None
+        begun = begun or self.planned_swings
         if begun is None:
             return None
         return begun.near_pairs_after_urgent_stops(ordinary=certified and not known)
@@ -250,9 +258,22 @@ def violations(plan: Plan, *, swinging: bool = True) -> tuple[Moment, ...]:
     """Return the moments at which clearances do not hold.
 
     For every pair, the worst moment of every second or less in which it fails, for the repair.
+    Where clearances fail after a part of the ordinary stops already, the others are not simulated.
     Without ``swinging``, the cable is quasi-static, with ``fold.swing`` in metres too.
     """
-    every = families(plan, plan.mission.vehicles.tracking, swinging=swinging)
+    checks = PlanChecks.of(plan)
+    if not swinging:
+        return _failing(plan, None)
+    if plan.mission.fold.certifies_swing and "ordinary_swings" not in vars(checks):
+        some = checks.some_swings
+        failing = () if some is None else _failing(plan, some.radii)
+        if failing:
+            return failing
+    return _failing(plan, checks.certified_tube)
+
+
+def _failing(plan: Plan, tube: TubeRadii | None) -> tuple[Moment, ...]:
+    every = families_of(plan, tube)(plan.mission.vehicles.tracking)
     return tuple(chain.from_iterable(side_by_side(_violations, every)))
 
 
@@ -299,25 +320,23 @@ def _moment(family: Family, pair: int, minima: Minima, entry: int) -> Moment:
     )
 
 
-def families(
-    plan: Plan, tracking: float, tilt: float = 0.0, *, swinging: bool = True
-) -> tuple[Family, ...]:
+def families(plan: Plan, tracking: float, tilt: float = 0.0) -> tuple[Family, ...]:
     """Return all non-empty families of a plan, with their spans and required distances.
 
     Distances of hanging cable hold for every tilt of the effective gravity up to the largest, of
     any heading, the same for all segments. The cable swings within the
-    :attr:`.PlanChecks.certified_tube`; without ``swinging`` it is quasi-static.
+    :attr:`.PlanChecks.certified_tube`.
     """
-    return families_of(plan, swinging=swinging)(tracking, tilt)
+    return families_of(plan, PlanChecks.of(plan).certified_tube)(tracking, tilt)
 
 
-def families_of(plan: Plan, *, swinging: bool = True) -> Callable[..., tuple[Family, ...]]:
+def families_of(plan: Plan, tube: TubeRadii | None) -> Callable[..., tuple[Family, ...]]:
     """Return :func:`families` of a plan, as a function of tracking radius, tilt and kinds.
 
-    What these do not change is computed once.
+    The cable swings within the ``tube``, or is quasi-static. What the arguments do not change is
+    computed once.
     """
     checks = PlanChecks.of(plan)
-    tube = checks.certified_tube if swinging else None
 
     def families(
         tracking: float, tilt: float = 0.0, kinds: Iterable[Kind] = _DISTANCES
@@ -386,7 +405,7 @@ def largest_tracking(plan: Plan, moments: Iterable[Moment] = ()) -> float | None
     """
     moments = tuple(moments)
     shown = plan.mission.vehicles.tracking if _all_hold(moments) else -TRACKING_STEP
-    checks = families_of(plan)
+    checks = families_of(plan, PlanChecks.of(plan).certified_tube)
     largest = _largest(checks, moments, shown, MOST_TRACKING, TRACKING_STEP)
     return largest if largest >= 0.0 else None
 
@@ -435,7 +454,7 @@ def _windy(plan: Plan) -> Callable[..., tuple[Family, ...]]:
 
     Wind does not move vehicles here.
     """
-    checks = families_of(plan)
+    checks = families_of(plan, PlanChecks.of(plan).certified_tube)
 
     def at(speed: float, kinds: Iterable[Kind] = _DISTANCES) -> tuple[Family, ...]:
         changed = kinds if speed == 0.0 else [kind for kind in kinds if kind.wind]

@@ -11,7 +11,7 @@ Both strands of a pair swing in the same motion, and strands that swing together
 distance: how much nearer they come than their catenaries is computed for each pair.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, partial
 from typing import NamedTuple
@@ -26,6 +26,7 @@ from swarm.certification.swing_runs import (
     COURSES,
     ORDINARY_COURSES,
     SETTLING,
+    Course,
     PlannedSwing,
     Swung,
     Wanted,
@@ -354,13 +355,11 @@ class Swings:
         swings.collect([planned.swung])
         return swings
 
-    def with_ordinary_stops(self) -> "Swings":
-        """Return the swings with those after ordinary stops and their resumes.
-
-        They show whether the clearances are kept.
-        """
-        swings = replace(self, found=dict(self.found), approach=self.approach.copy())
-        swings.collect(swings_after(self.plan, self.span, self.planned, ORDINARY_COURSES))
+    def after(self, courses: Sequence[Course]) -> "Swings":
+        """Return the swings with those after changes of the clock's rate."""
+        found = {name: strays.copy() for name, strays in self.found.items()}
+        swings = replace(self, found=found, approach=self.approach.copy())
+        swings.collect(swings_after(self.plan, self.span, self.planned, courses))
         return swings
 
     def tube(self, ordinary: TubeRadii) -> SwingTube:

@@ -13,7 +13,7 @@ from sitl.cable.swinging import SwingingRope
 from sitl.physics.dynamics import STEP as TICK
 from sitl.world import CableSpec
 from swarm.certification.assessment import swing_findings
-from swarm.certification.clearances import PlanChecks, tightest_moments
+from swarm.certification.clearances import PlanChecks, tightest_moments, violations
 from swarm.certification.strand_pieces import BIN, LEAVES, TubeRadii, radii_over
 from swarm.certification.swing_runs import (
     COURSES,
@@ -210,6 +210,20 @@ def test_near_pairs_swing_after_urgent_stops_as_all_do(
     assert np.array_equal(found.approach, every.pairs.approach[near])
     assert (found.approach <= tube.pairs.approach[near]).all()
     assert found.approach.sum() > 0.9 * tube.pairs.approach[near].sum()
+
+
+def test_all_ordinary_stops_are_simulated_where_clearances_hold_after_some(shaped: Plan) -> None:
+    plan = with_limit(shaped, 0.07)
+    assert violations(plan) == ()
+    some, every = PlanChecks.of(plan).some_swings, PlanChecks.of(plan).ordinary_tube
+    assert some is not None
+    assert every is not None
+    assert (some.radii.pieces <= every.pieces).all()
+    assert (some.radii.pieces < every.pieces).mean() > 0.1
+    cable = plan.mission.clearance.model_copy(update={"cable": 1.0})
+    short = replace(plan, mission=plan.mission.model_copy(update={"clearance": cable}))
+    assert any(moment.check == "cable clearance" for moment in violations(short))
+    assert "ordinary_swings" not in vars(PlanChecks.of(short))
 
 
 def test_the_cable_does_not_swing_before_it_is_aloft(shaped: Plan) -> None:
