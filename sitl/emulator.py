@@ -359,7 +359,9 @@ class Emulator:
             grips[outside.rows] = outside.grip_points()
             force = self.rope.forces(grips, velocity, None, interval)[: self.bodies.count]
         self._pull += force
-        outside.advance(command, force[outside.rows], self.bodies)
+        now = self.time + ahead + interval
+        held = {i: hands.pose(now) for i, hands in self.injector.hands.items()}
+        outside.advance(command, force[outside.rows], self.bodies, held)
 
     def _record_crashes(self, hit: Flags) -> None:
         for i in np.nonzero(hit)[0]:

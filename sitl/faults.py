@@ -469,7 +469,7 @@ def _capture(_: "Injector", __: Vehicle, ___: "Fault", ____: bool) -> None:
     """Let motion capture err: `sitl.server.MotionCapture` reads the fault in `Injector.active`."""
 
 
-@_kind("height", "lean", "turn", reach="emulated", injected={})
+@_kind("height", "lean", "turn", reach="bodies", injected={})
 def _handled(world: "Injector", v: Vehicle, fault: "Fault", on: bool) -> None:
     """Have a person lift the standing vehicle, lean it to its right and backwards, turn it to its
     left, and put it back: within ``duration``, see `Hands`."""
@@ -478,7 +478,7 @@ def _handled(world: "Injector", v: Vehicle, fault: "Fault", on: bool) -> None:
             fault, world.now, v.bodies.position[v.index].copy(), float(v.bodies.yaw[v.index])
         )
     elif not on and (hands := world.hands.pop(v.index, None)) is not None:
-        hands.place(v.bodies, v.index, 1.0)
+        hands.place(v.bodies, v.index, hands.began + (fault.duration or STEP))
 
 
 SIM_PARAMETERS: dict[str, float | int] = {
@@ -776,14 +776,31 @@ class Hands:
     position: Array
     yaw: float
 
-    def place(self, b: Bodies, i: int, share: float) -> None:
-        """Place vehicle ``i`` as after a share of the time."""
+    def pose(self, time: float) -> tuple[Array, Array]:
+        """Return position (3,) and attitude of the vehicle at a time, seconds.
+
+        The attitude is a quaternion (w, x, y, z): body FLU to world ENU.
+        """
+        position, yaw, right, back = self._angles(time)
+        return position, _attitude(yaw, right, back)
+
+    def _angles(self, time: float) -> tuple[Array, float, float, float]:
+        """Return the position (3,), yaw, lean to the right and lean backwards at a time."""
         fault = self.fault
-        lean_right = fault.lean * _bump(share, 0.1, 0.4)
-        lean_back = fault.lean * _bump(share, 0.35, 0.65)
+        share = (time - self.began) / (fault.duration or STEP)
+        right = fault.lean * _bump(share, 0.1, 0.4)
+        back = fault.lean * _bump(share, 0.35, 0.65)
         yaw = self.yaw + fault.turn * _bump(share, 0.6, 0.9)
-        b.position[i] = self.position
-        b.position[i, 2] += fault.height * _bump(share, 0.0, 1.0)
+        position = self.position.copy()
+        position[2] += fault.height * _bump(share, 0.0, 1.0)
+        return position, yaw, right, back
+
+    def place(self, b: Bodies, i: int, time: float) -> None:
+        """Place the emulated vehicle ``i`` as at a time; at the end it stands.
+
+        Vehicles with real firmware are rigid bodies, which `pose` moves: theirs replaces this.
+        """
+        b.position[i], yaw, lean_right, lean_back = self._angles(time)
         b.velocity[i] = 0.0
         b.yaw[i] = b.goal_yaw[i] = yaw
         b.goal_position[i] = b.position[i]
@@ -797,8 +814,17 @@ class Hands:
             _HELD * up,
         )
         b.thrust_rate[i] = 0.0
-        if share >= 1.0:
+        if time >= self.began + (self.fault.duration or STEP):
             b.thrust[i] = 0.0
+
+
+def _attitude(yaw: float, right: float, back: float) -> Array:
+    """Return the quaternion (w, x, y, z) of a heading, a lean to the right, then one backwards."""
+    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    cr, sr = math.cos(0.5 * right), math.sin(0.5 * right)
+    cb, sb = math.cos(0.5 * back), math.sin(0.5 * back)
+    w, x, y, z = cy * cr, cy * sr, sy * sr, sy * cr
+    return np.array([w * cb + y * sb, x * cb + z * sb, y * cb - w * sb, z * cb - x * sb])
 
 
 def _bump(share: float, start: float, end: float) -> float:
@@ -891,7 +917,7 @@ class Injector:
                 self.bodies.bias[i, 2] += rate * STEP
                 self.vehicles[i].barometer += rate * STEP
         for i, hands in self.hands.items():
-            hands.place(self.bodies, i, (now - hands.began) / (hands.fault.duration or STEP))
+            hands.place(self.bodies, i, now)
         return changed
 
     def start(self, fault: Fault, sysid: int) -> None:

@@ -22,7 +22,7 @@ from sitl.firmware.processes import PX4_PROGRAM, Launch, Need, Start
 from sitl.firmware.sensors import Fix, SensorFaults
 from sitl.physics.dynamics import STEP, Array
 from sitl.physics.geodesy import Geodesy
-from sitl.physics.rigid_bodies import MOTORS, SUBSTEPS
+from sitl.physics.rigid_bodies import MOTORS, SUBSTEPS, in_body
 from sitl.protocol import wire
 
 PORT = 4560
@@ -342,7 +342,7 @@ class Px4Port(processes.Port):
 
     def _slow(self, state: Array) -> tuple[float, ...]:
         """Return magnetic field, pressure, altitude and temperature with noise."""
-        field = sensors.in_body(state[6:10], self._field)
+        field = in_body(state[6:10], self._field)
         noise = self._rng.standard_normal(4)
         field += sensors.MAGNETIC_NOISE * noise[:3]
         pressure, temperature = sensors.air(

@@ -77,13 +77,6 @@ def magnetic_field(latitude: float, longitude: float, altitude: float) -> Array:
     return 1e-5 * np.array([field.y, field.x, -field.z])
 
 
-def in_body(attitude: Array, vector: Array) -> Array:
-    """Return a world vector (3,) in the axes of a body with a quaternion (w, x, y, z)."""
-    axis = -attitude[1:]
-    turned: Array = vector + 2.0 * np.cross(axis, np.cross(axis, vector) + attitude[0] * vector)
-    return turned
-
-
 def air(altitude: float) -> tuple[float, float]:
     """Return pressure (hPa) and temperature (°C) of the standard atmosphere below 11 km."""
     kelvin = 288.15 - 0.0065 * altitude

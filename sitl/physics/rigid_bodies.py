@@ -7,6 +7,7 @@ X: front right, rear left (both turn counter-clockwise seen from above), front l
 """
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -208,6 +209,16 @@ def _level(body: Array, rotation: Array, frame: Frame, i: int, impulse: float) -
     body[12] -= min(max(body[12], -yaw), yaw)
 
 
+def in_body(attitude: Array, vector: Array) -> Array:
+    """Return a world vector (3,) in the axes of a body with a quaternion (w, x, y, z)."""
+    axis = -attitude[1:]
+    turned: Array = vector + 2.0 * np.cross(axis, np.cross(axis, vector) + attitude[0] * vector)
+    return turned
+
+
+Pose = tuple[Array, Array]
+"""Position (3,) of the centre and attitude (w, x, y, z)."""
+
 SUBSTEPS = 8
 """Steps of rigid bodies in one of the world: 400 Hz, the loop of a multicopter's autopilot."""
 _LEAST_THRUST = 1.0
@@ -251,12 +262,15 @@ class RigidBodies:
             [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)]
         )
 
-    def advance(self, command: Array, force: Array, bodies: Bodies) -> None:
+    def advance(
+        self, command: Array, force: Array, bodies: Bodies, held: Mapping[int, Pose]
+    ) -> None:
         """Advance by one of `SUBSTEPS`.
 
         ``command`` (k, 4) are motor commands between 0 and 1, ``force`` (k, 3) the cable's forces
         on the grip points in newtons, ENU; air and health of the motors are those of ``bodies``.
-        Of a tumbling vehicle the first motor gives no thrust, the others all of theirs.
+        Of a tumbling vehicle the first motor gives no thrust, the others all of theirs. ``held``
+        are the poses at the end of the step of vehicles in a person's hands, by their indices.
         """
         rows = self.rows
         outside = np.hstack([force, bodies.wind[rows] + bodies.downwash[rows]])
@@ -264,7 +278,24 @@ class RigidBodies:
         health = np.where(lost, 1.0, bodies.health[rows])
         wanted = thrusts(command, self.frame.motor * health)
         wanted[lost, 0] = 0.0
+        before = self.state.copy() if held else self.state
         self.measured = step(self.state, self.frame, wanted, outside, self.floor, STEP / SUBSTEPS)
+        for index, pose in held.items():
+            for row in np.flatnonzero(rows == index).tolist():
+                self._carry(row, before[row], *pose)
+
+    def _carry(self, row: int, before: Array, position: Array, attitude: Array) -> None:
+        """Take a vehicle from a state to the pose at the end of a step, as hands do."""
+        interval, body = STEP / SUBSTEPS, self.state[row]
+        velocity: Array = (position - before[0:3]) / interval
+        force: Array = (velocity - before[3:6]) / interval
+        force[2] += GRAVITY
+        w, x, y, z = before[6:10]
+        # the vector part of the rotation from one attitude to the next: half its small angle
+        turned = np.array([[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]]) @ attitude
+        body[0:3], body[3:6], body[6:10] = position, velocity, attitude
+        body[10:13] = 2.0 * turned / interval
+        self.measured[row] = in_body(attitude, force)
 
     def place(self, bodies: Bodies) -> None:
         """Write positions, velocities, thrusts and flags into ``bodies``."""

@@ -6,6 +6,7 @@ import struct
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as dialect
+from scipy.spatial.transform import Rotation
 
 from sitl.emulator import Emulator
 from sitl.faults import Fault
@@ -42,7 +43,7 @@ def test_faults_that_the_world_cannot_cause_in_real_firmware_are_refused(kind, f
         outside(kind, [Fault(at=1.0, kind=fault, vehicle=1)])
     assert str(caught.value) == (
         f"faults: expected one of {known}gripper_slip, gripper_stuck_open, gripper_stuck_shut, "
-        f"motor_loss, snag, weak_thrust, wind for vehicle 1 with firmware ({kind}), got {fault}"
+        f"handled, motor_loss, snag, weak_thrust, wind for vehicle 1 with firmware ({kind}), got {fault}"
     )
 
 
@@ -62,6 +63,38 @@ def test_without_a_motor_three_give_their_thrust_until_the_fault_ends():
     np.testing.assert_allclose(thrusts[1:], full, rtol=1e-4)
     advance(emulator, 0.4)
     np.testing.assert_allclose(emulator.outside.state[0, 13:17], full, rtol=1e-4)
+
+
+def test_hands_move_a_rigid_body_and_its_sensors_measure_it():
+    hands = Fault(at=0.1, kind="handled", vehicle=1, duration=4.0, height=0.5, lean=0.5, turn=0.9)
+    emulator = outside("ardupilot", [hands])
+    body, still = emulator.outside, np.zeros((1, 4))
+    measured, poses = [], [body.state[0].copy()]
+    while emulator.time < 4.2:
+        for k in range(SUBSTEPS):
+            emulator.advance_outside(still, k * STEP / SUBSTEPS)
+            measured.append(np.hstack([body.measured[0], body.state[0, 10:13]]))
+            poses.append(body.state[0].copy())
+        emulator.advance(emulator.time + STEP)
+    poses = np.array(poses)
+    turned = Rotation.from_quat(poses[:, 6:10], scalar_first=True)
+    yaw, pitch, roll = turned.as_euler("ZYX").T
+    assert np.ptp(poses[:, 2]) == pytest.approx(0.5, abs=0.005)
+    assert roll.max() == pytest.approx(0.5, abs=0.01), "to its right"
+    assert pitch.min() == pytest.approx(-0.5, abs=0.01), "nose up"
+    assert np.ptp(np.unwrap(yaw)) == pytest.approx(0.9, abs=0.03)
+    np.testing.assert_allclose(poses[-1, :10], poses[0, :10], atol=0.005)
+    assert emulator.bodies.landed.all()
+    # an ideal inertial navigation finds its way back from what the sensors measured
+    place, speed, attitude = poses[0, :3].copy(), np.zeros(3), turned[0]
+    for row, pose in zip(measured, poses[1:], strict=True):
+        attitude *= Rotation.from_rotvec(row[3:] * STEP / SUBSTEPS)
+        speed += (attitude.apply(row[:3]) - (0.0, 0.0, GRAVITY)) * STEP / SUBSTEPS
+        place += speed * STEP / SUBSTEPS
+        assert (
+            attitude.inv() * Rotation.from_quat(pose[6:10], scalar_first=True)
+        ).magnitude() < 2e-3
+        np.testing.assert_allclose(place, pose[:3], atol=0.01)
 
 
 def test_a_process_that_has_ended_stops_the_motors():

@@ -15,6 +15,7 @@ from sitl.firmware import sensors
 from sitl.firmware.processes import Start
 from sitl.firmware.px4 import Stream, launch_px4, receiver, sensor
 from sitl.physics.geodesy import GRAVITY, Geodesy
+from sitl.physics.rigid_bodies import in_body
 from sitl.protocol import wire
 
 ANGLE = st.floats(-3.0, 3.0)
@@ -113,7 +114,7 @@ def test_world_vectors_turn_into_body_axes(angles):
     x, y, z, w = turn.as_quat()
     vector = np.array([0.2, -0.5, 0.4])
     np.testing.assert_allclose(
-        sensors.in_body(np.array([w, x, y, z]), vector), turn.inv().apply(vector), atol=1e-12
+        in_body(np.array([w, x, y, z]), vector), turn.inv().apply(vector), atol=1e-12
     )
 
 
