@@ -233,7 +233,8 @@ def _sensors(v: Vehicle) -> tuple[int, int, int]:
     """Return the bits of the sensors present, enabled and healthy.
 
     PX4 reports the pre-arm bit only in the last, and enables the radio without one; ArduPilot
-    enables its log while it is armed, and its fence by a parameter.
+    enables its log while it is armed, and its fence by a parameter. Indoors its heading is that of
+    the poses, and its compass is switched off.
     """
     gps = 0 if v.environment.indoor else _GPS
     if v.is_px4:
@@ -241,7 +242,8 @@ def _sensors(v: Vehicle) -> tuple[int, int, int]:
         present, healthy = _PX4_PRESENT | gps | radio, _PX4_HEALTHY | gps | radio
         enabled = present | _RADIO
     else:
-        present = _ARDUPILOT_HEALTHY | gps | _FENCE | _LOGGING
+        compass = _MAG if v.environment.indoor else 0
+        present = _ARDUPILOT_HEALTHY & ~compass | gps | _FENCE | _LOGGING
         healthy = present | _PROXIMITY
         enabled = present & ~(_FENCE | _LOGGING)
         enabled |= _LOGGING if v.autopilot.logging else 0

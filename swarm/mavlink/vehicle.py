@@ -90,7 +90,7 @@ class Vehicle(Reports, ReportedMotion):
     - ``asked_at``: when the first clock request was sent that has not been answered; infinite
       without any, or where the vehicle has never answered one.
     - ``position_healthy``, ``compass_healthy``: False if SYS_STATUS reports an unhealthy position
-      estimate, or a compass that is used and unhealthy.
+      estimate, or a compass that is used and unhealthy. ``compass_present``: False if it has none.
     - ``height_difference``: satellite altitude minus altitude of the local position, averaged;
       ``height_average`` holds when the average began, its latest sample, and its value.
     - ``origin_mismatches``: consecutive samples in which global and local position disagree.
@@ -116,6 +116,7 @@ class Vehicle(Reports, ReportedMotion):
     global_position: Origin | None = None
     voltage: float = math.nan
     ready: bool | None = None
+    compass_present: bool = True
     satellites: int = -1
     gps_time: int = -1
     horizontal_accuracy: float = math.nan
@@ -587,6 +588,7 @@ def _system_status(vehicle: Vehicle, message: Message, _now: float) -> None:
     vehicle.voltage = message.voltage_battery / 1000.0
     enabled = message.onboard_control_sensors_enabled & _POSITION_SENSORS
     vehicle.position_healthy = not enabled & ~message.onboard_control_sensors_health
+    vehicle.compass_present = bool(message.onboard_control_sensors_present & _COMPASS)
     vehicle.compass_healthy = not message.onboard_control_sensors_enabled & ~health & _COMPASS
     autopilot = vehicle.autopilot
     health_only = autopilot is not None and not autopilot.lists_prearm_as_present

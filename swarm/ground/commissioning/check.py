@@ -262,7 +262,9 @@ class Auditor:
             health={
                 subsystem: fine
                 for subsystem, fine in report.health.items()
-                if self.on_earth or subsystem not in _ON_EARTH
+                if (self.on_earth or subsystem not in _ON_EARTH)
+                # MAVSDK calls the compass of an ArduPilot that has none unhealthy
+                and (vehicle.compass_present or subsystem != "magnetometer")
             },
             battery=report.battery,
             satellites=report.satellites,
