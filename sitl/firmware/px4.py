@@ -197,7 +197,7 @@ def launch_px4(start: Start, radius: float) -> Launch:
         {
             "PX4_SIM_MODEL": "none_iris",
             "PX4_SYS_AUTOSTART": _AIRFRAME,
-            "PATH": f"{start.folder}:{os.environ.get('PATH', os.defpath)}",
+            "PATH": f"{start.folder.absolute()}:{os.environ.get('PATH', os.defpath)}",
             **{f"PX4_PARAM_{name}": f"{value:g}" for name, value in values.items()},
         },
     )

@@ -139,6 +139,14 @@ def test_each_process_has_its_own_instance_link_and_parameters(tmp_path):
     assert one.environment["PATH"].startswith(f"{tmp_path}:")
 
 
+def test_px4_finds_its_links_in_a_folder_that_was_given_relative_to_ours(tmp_path, monkeypatch):
+    # PX4 has its own folder: with a relative one in its path it took the links of its simulator
+    monkeypatch.chdir(tmp_path)
+    start = Start(Path("/px4"), Path("logs/vehicle1"), 0, 1, 0.0, True, {}, "127.0.0.1:9")
+    path = launch_px4(start, 0.25).environment["PATH"]
+    assert path.startswith(f"{tmp_path}/logs/vehicle1:")
+
+
 def test_without_a_target_the_links_are_those_of_px4s_own_simulators(tmp_path):
     start = Start(Path("/px4"), tmp_path, 0, 1, 0.0, False, {}, None)
     one = launch_px4(start, 0.25)
