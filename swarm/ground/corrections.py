@@ -6,6 +6,7 @@ sends each of them once to every remote address of the team's links, as GPS_RTCM
 message names no vehicle.
 """
 
+import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -26,6 +27,14 @@ _MOST_FRAGMENTS = 4
 """The number of a fragment has two bits (MAVLink, common.xml)."""
 SILENCE = 5.0
 """Seconds without corrections that are reported: five epochs of a base that sends every second."""
+_PACE = 0.02
+"""Seconds between two fragments. PX4 keeps eight, which its receiver's driver fetches every 0.05 s:
+of epochs of ten fragments that were sent at once it passed on the last eight. An epoch of twenty,
+those of all constellations, takes 0.4 s: receivers use corrections that are older by seconds."""
+_CATCH_UP = 3
+"""Fragments that follow at once where the last call was too long ago for the pace."""
+_MOST_WAITING = 50
+"""Fragments that wait at most, a second: those beyond follow at once."""
 _EXPECTED = (
     "expected ntrip://[USER:PASSWORD@]HOST[:PORT]/MOUNTPOINT (ntrips: with TLS), "
     "serial://DEVICE[:BAUD], udp://HOST:PORT or file:PATH"
@@ -140,6 +149,8 @@ class Corrections:
     _sizes: "deque[tuple[float, int]]" = field(default_factory=deque)
     _newest: float | None = None
     _silent: bool | None = None
+    _waiting: "deque[Any]" = field(default_factory=deque)
+    _free_at: float = -math.inf
 
     def packets(self, now: float) -> Iterator[Outgoing]:
         """Yield the packets that are due at ``now``."""
@@ -150,12 +161,21 @@ class Corrections:
             messages = correction_messages(frame, self._sequence)
             self._too_long += not messages
             self._sequence += len(messages) > 1
-            for route in self._routes():
-                for message in messages:
-                    data = self.team.sealed(route.link, route.encoder.encode(message))
-                    yield Outgoing(route.link, route.address, data)
+            if not self._waiting:
+                self._free_at = max(self._free_at, now)
+            self._waiting += messages
+        self._free_at = max(self._free_at, now - _CATCH_UP * _PACE)
+        while self._waiting and (self._free_at <= now or len(self._waiting) > _MOST_WAITING):
+            self._free_at = min(self._free_at, now) + _PACE
+            yield from self._sent(self._waiting.popleft())
         while self._sizes and now - self._sizes[0][0] > SILENCE:
             self._sizes.popleft()
+
+    def _sent(self, message: Any) -> Iterator[Outgoing]:
+        """Yield a message's packets, one for each way to vehicles."""
+        for route in self._routes():
+            data = self.team.sealed(route.link, route.encoder.encode(message))
+            yield Outgoing(route.link, route.address, data)
 
     def _routes(self) -> Iterable[Route]:
         """Return the routes to all vehicles, each address of a link once."""

@@ -241,6 +241,8 @@ def test_each_address_gets_each_message_once(tmp_path):
         outgoing, deadline = [], time.monotonic() + 120.0
         while corrections.received(1.0).too_long == 0 and time.monotonic() < deadline:
             outgoing += corrections.packets(1.0)
+        for tick in range(20):
+            outgoing += corrections.packets(1.0 + 0.02 * tick)
         for port in (5001, 5003):
             receiver, parser = Receiver(), dialect.MAVLink(None)
             for packet in outgoing:
@@ -258,6 +260,56 @@ def test_each_address_gets_each_message_once(tmp_path):
             "corrections", "none for 5 s: receivers lose RTK fixed after a time of their own",
         )  # fmt: skip
         assert corrections.finding(1.1 + SILENCE).severity == "error"
+
+
+class Epochs:
+    """A source whose messages are there at once, as an epoch of a base is."""
+
+    def __init__(self):
+        self.ready, self.problem = [], ""
+
+    def frames(self):
+        ready, self.ready = self.ready, []
+        yield from ready
+
+
+def one_vehicle():
+    """Return a team of one vehicle that has been received."""
+    fleet = emulated_fleet(1, ("px4",))
+    team = Team(fleet, lambda *_: None)
+    beat = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    data = beat.heartbeat_encode(2, 12, 0, 0, 3).pack(beat)
+    assert team.receive(next(iter(fleet.links)), ("127.0.0.1", 5001), data, 0.0)
+    return team
+
+
+@pytest.mark.parametrize("tick", [0.02, 0.05])
+def test_an_epoch_never_overflows_the_eight_fragments_that_px4_keeps(tick):
+    epoch = [rtcm(kind, 720, kind & 0xFF) for kind in (1077, 1087, 1097, 1127)]
+    source, receiver, parser = Epochs(), Receiver(), dialect.MAVLink(None)
+    corrections = Corrections(source, one_vehicle())
+    at = []
+    for k in range(round(3.0 / tick)):
+        now = 10.0 + k * tick
+        if k % round(1.0 / tick) == 0:
+            source.ready = list(epoch)
+        for packet in corrections.packets(now):
+            (message,) = parser.parse_buffer(packet.data)
+            receiver.take(*sent(message))
+            at.append(now)
+    assert receiver.whole == 3 * epoch
+    for first, ninth in zip(at, at[8:], strict=False):
+        assert ninth - first > 0.05
+    assert max(now % 1.0 for now in at) < 0.4
+
+
+def test_a_source_beyond_the_pace_is_late_by_a_second_at_most():
+    source = Epochs()
+    corrections = Corrections(source, one_vehicle())
+    source.ready = 30 * [rtcm(1077, 720)]
+    sent_at_once = len(list(corrections.packets(0.0)))
+    assert 120 - 50 <= sent_at_once < 120
+    assert sum(len(list(corrections.packets(0.02 * k))) for k in range(53)) == 120 - sent_at_once
 
 
 def test_a_source_that_never_sends_is_reported(tmp_path):
