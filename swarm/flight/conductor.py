@@ -64,6 +64,7 @@ def initial_state(setup: Setup, resumption: Resumption) -> FlightState:
     """Return the state of a flight that has not begun, or that is to be resumed in the air."""
     plan, fleet, recorder = setup.plan, setup.fleet, Recorder()
     n, left = plan.vehicles, resumption.left_off
+    tracking = plan.mission.vehicles.tracking if setup.options.corrected else None
     guidance, braking = Guidance(plan.motion), plan.mission.vehicles.braking_acceleration
     starts = guidance.planned(0.0).position
     standing = starts + setup.lift
@@ -78,7 +79,7 @@ def initial_state(setup: Setup, resumption: Resumption) -> FlightState:
     flight = FlightState(
         setup=setup,
         team=team,
-        preparation=Preparation(team, fleet, standing),
+        preparation=Preparation(team, fleet, standing, tracking),
         clock=MissionClock(clock_limits(plan.motion, braking)),
         guidance=guidance,
         detectors=Detectors(setup),

@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import common
 from swarm.certification.findings import Finding, Severity
 from swarm.errors import Refused
 from swarm.flight.preparation import (
+    FIXES,
     Prepared,
     leave_offboard,
     prepared_team,
@@ -39,15 +40,6 @@ RADIO_SHARE = 0.5
 """Share of a slow link for setpoints; the rest is for positions, commands and repetitions."""
 FEWEST_SATELLITES = 8
 """Satellites without a warning; the filters of PX4 and ArduPilot require 6."""
-FIXES = {
-    int(common.GPS_FIX_TYPE_3D_FIX): ("a 3D fix without corrections", 1.5),
-    int(common.GPS_FIX_TYPE_DGPS): ("a differential fix", 1.0),
-    int(common.GPS_FIX_TYPE_RTK_FLOAT): ("RTK float", 0.4),
-    int(common.GPS_FIX_TYPE_RTK_FIXED): ("RTK fixed", 0.02),
-    int(common.GPS_FIX_TYPE_PPP): ("PPP", 0.1),
-}
-"""Kinds of solutions and their horizontal errors in metres: u-blox's ZED-F9P (data sheet: 1.5 m,
-SBAS 1.0 m, RTK 0.01 m and 1 ppm); a float solution is good to a few decimetres."""
 POOREST_ACCURACY = 1.5
 """Largest horizontal GPS accuracy in metres without a warning."""
 

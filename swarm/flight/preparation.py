@@ -37,6 +37,17 @@ FRESH = 1.0
 """Seconds after which a position is too old."""
 
 
+FIXES = {
+    int(common.GPS_FIX_TYPE_3D_FIX): ("a 3D fix without corrections", 1.5),
+    int(common.GPS_FIX_TYPE_DGPS): ("a differential fix", 1.0),
+    int(common.GPS_FIX_TYPE_RTK_FLOAT): ("RTK float", 0.4),
+    int(common.GPS_FIX_TYPE_RTK_FIXED): ("RTK fixed", 0.02),
+    int(common.GPS_FIX_TYPE_PPP): ("PPP", 0.1),
+}
+"""Kinds of solutions and their horizontal errors in metres: u-blox's ZED-F9P (data sheet: 1.5 m,
+SBAS 1.0 m, RTK 0.01 m and 1 ppm); a float solution is good to a few decimetres."""
+
+
 def named(vehicle: Vehicle, number: int) -> str:
     """Return the name of a vehicle in messages: its place along the cable, and system id."""
     if number == vehicle.system:
@@ -235,11 +246,14 @@ class Preparation:
     """Prepares the fleet's vehicles and assigns them to pads.
 
     ``standing`` (n, 3) are the planned places of the centres before take-off, mission ENU.
+    ``tracking``, metres: corrections are sent, and the team waits until the errors of all receivers
+    are smaller; None: positions are taken as they are.
     """
 
     team: Team
     fleet: Fleet
     standing: Floats
+    tracking: float | None = None
     _began: tuple[float, float] | None = None
     _enough_at: float | None = None
     _heard: list[Vehicle] = field(default_factory=list)
@@ -267,7 +281,9 @@ class Preparation:
             return self._listen(now, real, waited)
         self._request(now)
         measured = np.array([vehicle.position for vehicle in self._heard])
-        findings = readiness(self._heard, self.fleet, now) or self._moved(measured)
+        findings = (
+            readiness(self._heard, self.fleet, now) or self._uncorrected() or self._moved(measured)
+        )
         if findings:
             self._samples.clear()
             return _not_ready(findings) if late else None
@@ -310,13 +326,30 @@ class Preparation:
             if not early:
                 leave_offboard(vehicle)
 
+    def _uncorrected(self) -> list[Finding]:
+        """Return the vehicles whose receivers do not use the corrections yet."""
+        if self.tracking is None or self.fleet.frame != "gps":
+            return []
+        found = []
+        for vehicle in self._heard:
+            fix, error = FIXES.get(vehicle.fix_type, ("", 0.0))
+            if error > self.tracking:
+                words = f"system {vehicle.system}: {fix}, with errors of {error:g} m, though "
+                words += "corrections are sent: RTK fixed is needed"
+                found.append(Finding("error", "position", words))
+        return found
+
     def _moved(self, measured: Floats) -> list[Finding]:
         """Return the vehicles that report another place than at first, though they stand.
 
-        Their estimators have just found their places, as with the first poses of motion capture.
+        Their estimators have just found their places, as with the first poses of motion capture. An
+        estimator follows the first corrections over seconds: they are waited for.
         """
         if not self._samples:
             return []
+        most = self.fleet.limits.placement
+        if self.tracking is not None and self.fleet.frame == "gps":
+            most = min(most, 0.5 * self.tracking)
         away = np.linalg.norm(measured - self._samples[0][1], axis=1)
         return [
             Finding(
@@ -325,7 +358,7 @@ class Preparation:
                 f"system {vehicle.system} reports a motion of {distance:.2f} m on the ground",
             )
             for vehicle, distance in zip(self._heard, away.tolist(), strict=True)
-            if distance > self.fleet.limits.placement
+            if distance > most
         ]
 
     def _finish(self) -> Prepared | Outcome:

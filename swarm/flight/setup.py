@@ -32,12 +32,13 @@ class FlightOptions:
     planned rate whatever the clearances, the cable's pull and the tracking errors are; for
     comparisons in the emulator alone. ``error_limit`` in metres: tracking errors neither slow nor
     hold the clock in the phase ``hold``; beyond this error, or with too little distance between
-    vehicles, all land.
+    vehicles, all land. ``corrected``: corrections are sent to receivers, and used before take-off.
     """
 
     no_cable: bool = False
     open_loop: bool = False
     error_limit: float | None = None
+    corrected: bool = False
 
 
 @dataclass(frozen=True, eq=False)

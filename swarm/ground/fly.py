@@ -548,7 +548,11 @@ def _refuse_unflyable(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions
 
 
 def _conductor(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions) -> Conductor:
-    setup = FlightOptions(no_cable=options.no_cable, error_limit=options.error_limit)
+    setup = FlightOptions(
+        no_cable=options.no_cable,
+        error_limit=options.error_limit,
+        corrected=options.rtcm is not None,
+    )
     conductor = Conductor(flight_plan, fleet, setup, left=options.left, then=options.then)
     if options.left is None:
         require_tracking(conductor.basis, fleet)

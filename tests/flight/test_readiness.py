@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common
 
 from sitl.faults import Fault
 from swarm.errors import Refused
 from swarm.flight.preparation import STANDING_TIME, assigned, levelled, rough_frames
+from swarm.flight.setup import FlightOptions
 from swarm.mavlink.autopilots import PX4
 from swarm.mavlink.frames import Origin, from_mission, to_local
 from swarm.mavlink.vehicle import Vehicle
@@ -17,6 +19,53 @@ from swarm.mission.fleet import emulated_fleet, parse_fleet
 from tests.network import Network, small_plan
 
 PADS = np.array([[0.0, 0.0, 0.6], [3.0, 0.5, 0.6], [6.0, -1.0, 0.6], [9.0, 0.0, 0.6]])
+
+
+def corrected():
+    """Return a flight whose receivers get corrections, before its first step."""
+    flight_plan, team = small_plan(), emulated_fleet(3)
+    flight = Network(flight_plan, team, no_cable=True)
+    options = FlightOptions(no_cable=True, corrected=True)
+    flight.conductor = type(flight.conductor)(flight_plan, team, options)
+    return flight
+
+
+def test_a_team_with_corrections_waits_until_all_receivers_use_them():
+    flight, fixed = corrected(), 6.0
+    while flight.now < fixed:
+        flight.once()
+        assert flight.conductor.stage == "prepare"
+        flight.conductor.team.vehicles[2].fix_type = common.GPS_FIX_TYPE_RTK_FLOAT
+    flight.run(lambda: flight.conductor.stage != "prepare")
+    assert flight.conductor.stage == "execute"
+    assert fixed + STANDING_TIME < flight.now < fixed + STANDING_TIME + 2.0
+
+
+def test_a_receiver_that_never_uses_the_corrections_is_named():
+    flight = corrected()
+    while flight.conductor.finished is None:
+        flight.conductor.team.vehicles[3].fix_type = common.GPS_FIX_TYPE_3D_FIX
+        flight.once()
+        flight.conductor.team.vehicles[3].fix_type = common.GPS_FIX_TYPE_3D_FIX
+        assert flight.now < 2.0 * flight.fleet.limits.ready
+    assert flight.conductor.finished.explanation == (
+        "system 3: a 3D fix without corrections, with errors of 1.5 m, though corrections are sent: "
+        "RTK fixed is needed"
+    )
+
+
+def test_a_place_that_follows_the_first_corrections_is_waited_for():
+    # wrong by less than the 0.5 m by which a vehicle may stand beside its pad, and right after 2.3 s
+    flight = corrected()
+    wrong = [Fault(at=0.0, kind="gps_jump", vehicle=2, offset=(0.4, 0.0, 0.0))]
+    for k in range(20):
+        at = 0.4 + 0.1 * k
+        wrong.append(Fault(at=at, kind="gps_jump", vehicle=2, offset=(-0.02, 0.0, 0.0)))
+    for fault in wrong:
+        flight.emulator.inject(fault)
+    flight.run(lambda: flight.conductor.stage != "prepare")
+    assert 2.3 < flight.now < 2.3 + STANDING_TIME + 1.0
+    assert flight.conductor.stage == "execute"
 
 
 def fleet(*lines: str):
