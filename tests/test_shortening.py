@@ -13,13 +13,17 @@ from scipy.optimize import brentq
 
 from swarm import planner
 from swarm.certification.air import deepest_sinking
+from swarm.certification.certificate import certify
 from swarm.certification.clearances import PlanChecks
 from swarm.errors import Refused
+from swarm.geometry.solids import distances
 from swarm.mission import parse_mission
 from swarm.planner import PlanningResult, shortening
 from swarm.planner.fold_problem import Fold, Frozen, Problem, localised
 from swarm.planner.shortening import Shortening
 from swarm.planner.team_terms import _by_end, _write_strand
+from swarm.planning import Plan
+from swarm.planning.candidates import candidates
 from tests.shared import shared
 
 Floats = npt.NDArray[np.float64]
@@ -62,13 +66,37 @@ def parts_of(problem: Problem, fold: Fold, frozen: Frozen) -> Floats:
     return np.concatenate([[shown.cost], bordered.gradient])
 
 
-TERMS = "clearances", "after losses", "speed and acceleration", "swing", "sinking", "all"
+TERMS = "clearances", "after losses", "speed and acceleration", "swing", "sinking", "walls", "all"
+
+WALLS = parse_mission(
+    """
+schema: 1
+name: walls
+knot: {gauss: "1- 2+ 3- 1+ 2- 3+", chirality: right}
+clearance: {obstacle: 0.3}
+workspace:
+  ceiling: 9
+  fence: [[-40, -40], [0, -6], [40, -40], [40, 40], [-40, 40]]
+  obstacles:
+    - {name: pole, shape: cylinder, centre: [1.5, 1.0], radius: 0.1, top: 12}
+    - {name: table, shape: box, centre: [-2.0, 1.0], size: [2.0, 1.0], turn: 0.4, top: 3.5}
+    - {name: net, shape: half-space, point: [0.0, 8.0, 0.0], normal: [0.0, -1.0, 0.1]}
+""",
+    "walls.yaml",
+)
+"""A ceiling, a fence with a corner that points inwards, and obstacles amid the team."""
 
 
 @pytest.mark.parametrize("term", TERMS)
 def test_derivatives_of_each_term_are_those_of_its_values(term: str) -> None:
     short, fold, frozen = begun()
     problem = short.problem
+    if term in {"walls", "all"}:
+        walls = shortening._walls(WALLS, 0.1, 0.1)
+        problem = replace(problem, team=problem.team._replace(walls=walls))
+        needs = shortening._needs(problem.team, np.zeros(problem.moments))
+        assert problem.shown_by(problem.states(fold, problem.shares)[0], needs).missed.max() > 0.0
+        frozen = replace(frozen, needs=frozen.needs._replace(inside=needs.inside))
     rng = np.random.default_rng(4)
     fold = replace(fold, free=fold.free + rng.normal(scale=0.005, size=fold.free.shape))
     if term != "all":
@@ -138,6 +166,74 @@ def strand_point(start: Floats, end: Floats, length: float, piece: int) -> tuple
     return points[piece], np.array(by)
 
 
+def test_walls_are_as_far_as_the_sides_of_a_fence_that_has_a_corner_inwards() -> None:
+    walls = shortening._walls(WALLS, 0.0, 0.0)
+    fence = np.array(WALLS.workspace.fence)
+    rng = np.random.default_rng(1)
+    inside = rng.uniform([-39, -5, 1], [39, 39, 2], size=(200, 3))
+    inside = np.concatenate([inside, rng.uniform([-39, -38, 1], [-30, 39, 2], size=(200, 3))])
+    sides = np.stack([fence, np.roll(fence, -1, axis=0)], axis=1)
+    step = sides[:, 1] - sides[:, 0]
+    share = ((inside[:, None, :2] - sides[:, 0]) * step).sum(axis=2) / (step**2).sum(axis=1)
+    nearest = sides[:, 0] + np.clip(share, 0.0, 1.0)[..., None] * step
+    expected = np.linalg.norm(inside[:, None, :2] - nearest, axis=2).min(axis=1)
+    found = distances(walls.solids[None, 1:6], inside[:, None]).min(axis=1)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_the_way_to_the_line_is_that_of_the_flight() -> None:
+    plan = as_certified().plan
+    problem, fold = shortening._problem_of(plan)
+    places, _ = problem.way_to_line(fold.pose)
+    n = plan.vehicles
+    pads, above, laid = places[: 3 * n].reshape(n, 3, 3).transpose(1, 0, 2)
+    lifted = places[3 * n :].reshape(n, -1, 3)
+    takeoff, lift = plan.phase("takeoff"), plan.phase("lift")
+    for shown, time in ((pads, 0.0), (laid, takeoff.end), (lifted[:, -1], lift.end)):
+        np.testing.assert_allclose(shown, plan.motion.at(np.array([time]))[0][0], atol=1e-5)
+    np.testing.assert_allclose(above[:, :2], pads[:, :2])
+    np.testing.assert_allclose(above[:, 2], laid[:, 2])
+    assert (lifted[:, 0, 2] == 0.0).all()
+
+
+WORKSPACE = (
+    "wind.steady=2", "workspace.ceiling=12.5",
+    "workspace.fence=[[-30, -9], [30, -9], [30, 9], [-30, 9]]",
+    "workspace.obstacles=[{name: lamp, shape: box, centre: [4, -6], size: [2, 2], bottom: 10.5, "
+    "top: 20}]",
+)  # fmt: skip
+
+
+def optimised_with(*overrides: str) -> tuple[PlanningResult, list[Plan]]:
+    """The plan with the first candidate's fold shortened, and the plans that were tried."""
+    text = FIVE.read_text(encoding="utf-8").replace("fold: {", "fold: {method: optimised, ")
+    mission = parse_mission(text, str(FIVE), overrides)
+    tried: list[Plan] = []
+
+    def accepted(plan: Plan) -> bool:
+        tried.append(plan)
+        return PlanningResult(plan, certify(plan)).certificate.cleared
+
+    with planner.one_thread():
+        first = next(iter(candidates(mission))).plan
+        shortening.shorten(first, accepted, lambda _stage, _share: None)
+        return PlanningResult(first, certify(tried[-1] if tried else first)), tried
+
+
+@pytest.mark.full
+def test_a_shorter_fold_keeps_inside_fence_and_ceiling_beside_obstacles_and_in_wind() -> None:
+    result, tried = optimised_with(*WORKSPACE)
+    assert result.certificate.cleared
+    assert tried[-1].phase("fold").duration < 22.0
+    free = as_optimised().plan  # would leave the fence
+    assert np.abs(free.motion.at(np.linspace(0.0, free.motion.times[-1], 500))[0][..., 1]).max() > 9
+
+
+@pytest.mark.full
+def test_no_plan_is_tried_where_the_knot_itself_is_above_the_ceiling() -> None:
+    assert optimised_with("workspace.ceiling=10")[1] == []
+
+
 @pytest.mark.full
 def test_a_shorter_fold_is_cleared_and_needs_no_slower_clock() -> None:
     before, after = as_certified().plan, as_optimised().plan
@@ -162,7 +258,9 @@ def test_an_optimised_fold_is_the_same_from_a_start_that_differs_by_millimetres(
     for size in (0.0, 0.002):
         start = replace(fold, free=fold.free + rng.normal(scale=size, size=fold.free.shape))
         frozen = shortening._measured_first(short, start)
-        found.append(shortening._centred(short, start, frozen, wanted, 300.0)[0])
+        centred = shortening._centred(short, start, frozen, wanted, 300.0)
+        assert centred is not None
+        found.append(centred[0])
     assert found[0].duration == pytest.approx(found[1].duration, rel=0.03)
 
 

@@ -499,8 +499,8 @@ class Fold(Section):
         "certified",
         description="certified: all vehicles follow one curve; optimised: a third to half as long, "
         "by one optimisation of all motions, which takes half a minute for nine vehicles and "
-        "leaves little room for wind; paper: the published trajectory, for "
-        "comparison.",
+        "leaves room for the wind of the mission, hardly for more; paper: the published "
+        "trajectory, for comparison.",
     )
     delay: Number | None = number(
         None, "s", "Delay between neighbouring vehicles (method: paper).", above=0, most=600.0

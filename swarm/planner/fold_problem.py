@@ -15,7 +15,7 @@ and damping of the swing, and its correction (:class:`Frozen`).
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain, permutations
 from typing import NamedTuple
@@ -37,6 +37,7 @@ from swarm.planner.team_terms import (
     Splines,
     Team,
     add_clearances,
+    add_walls,
     gather,
     oscillate,
     respond,
@@ -165,7 +166,8 @@ class Slopes:
     ``band[r − c, c]``; what a whole motion before a moment causes as ``remembered`` squares, of
     which ``near`` (h, k·3n) is an approximation in a band. Where a band is the whole matrix, it is
     both, and has all of it. ``by_duration``, its derivative ``mixed`` (k, 3n) by control points,
-    and ``twice`` by the same again.
+    and ``twice`` by the same again. ``pose`` (4,) and ``by_pose`` (4, 4) are gradient and matrix of
+    what the pose of the line moves beside control points.
     """
 
     gradient: Floats
@@ -175,6 +177,8 @@ class Slopes:
     by_duration: float
     mixed: Floats
     twice: float
+    pose: Floats = field(default_factory=lambda: np.zeros(4))
+    by_pose: Floats = field(default_factory=lambda: np.zeros((4, 4)))
 
 
 class Remembered(NamedTuple):
@@ -255,11 +259,13 @@ def _add_poses(slopes: Slopes, compared: _Compared) -> None:
 class Problem:
     """What a fold is: its team, limits, the ``folded`` corners (n, 3), and the line.
 
-    ``along`` (n,) are the places of vehicles on the line from its middle, metres; ``count`` control
-    points move each vehicle. ``after`` is the team after losses of setpoints, when all were
-    exactly on the plan. ``drag`` is that of the cable, 1/m: acceleration by squared speed; ``jet``
-    the radius of a vehicle's jet, metres. Up to ``whole`` unknowns, all of the matrix is kept, and
-    solved at once: for the overhand's 1,080 in 0.03 s instead of 0.16 s.
+    ``along`` (n,) are the places of vehicles on the line from its middle, metres, and ``before``
+    (r, 4) those on the way there: along the line, aside of it (to its left for a knot on its
+    right), their share of its height, and metres above that. ``count`` control points move each
+    vehicle. ``after`` is the team after losses of setpoints, when all were exactly on the plan.
+    ``drag`` is that of the cable, 1/m: acceleration by squared speed; ``jet`` the radius of a
+    vehicle's jet, metres. Up to ``whole`` unknowns, all of the matrix is kept, and solved at once:
+    for the overhand's 1,080 in 0.03 s instead of 0.16 s.
     """
 
     team: Team
@@ -267,6 +273,7 @@ class Problem:
     limits: Limits
     folded: Floats
     along: Floats
+    before: Floats
     count: int
     drag: float
     jet: float
@@ -387,7 +394,9 @@ class Problem:
         swung, swings = self._swing(velocity, acceleration, fold.duration, frozen, slopes)
         sunk, sinking = self._sinking(place, fold.duration, frozen.soft, slopes)
         smooth = self._smoothness(control.reshape(self.count, -1), fold.duration, slopes)
-        cost = float(distances + motion + swung + sunk + smooth)
+        ahead, outside = self._before_fold(fold.pose, frozen.soft, slopes)
+        found.missed[0] = max(found.missed[0], outside)
+        cost = float(distances + motion + swung + sunk + smooth + ahead)
         return Evaluation(
             cost=cost,
             found=found,
@@ -398,6 +407,33 @@ class Problem:
             swings=swings,
             sinking=sinking,
         )
+
+    def way_to_line(self, pose: Floats) -> tuple[Floats, Floats]:
+        """Return the places (r, 3) before the fold, and their derivatives (r, 3, 4) by the pose."""
+        x, y, z, heading = pose
+        ahead = np.array([math.cos(heading), math.sin(heading), 0.0])
+        left = np.array([-ahead[1], ahead[0], 0.0])
+        side = -1.0 if float(np.mean((self.folded - [x, y, 0.0]) @ left)) > 0.0 else 1.0
+        along, aside, share, above = self.before.T[..., None]
+        places = [x, y, 0.0] + along * ahead + side * aside * left
+        places[:, 2:] += share * z + above
+        by_pose = np.zeros((len(places), 3, 4))
+        by_pose[:, [0, 1], [0, 1]] = 1.0
+        by_pose[:, 2, 2] = share[:, 0]
+        by_pose[:, :, 3] = along * left - side * aside * ahead
+        return places, by_pose
+
+    def _before_fold(
+        self, pose: Floats, soft: float, slopes: Slopes | None
+    ) -> tuple[float, float]:  # fmt: skip
+        """Return the cost of vehicles and walls before the fold, and the largest missed need."""
+        places, by_pose = self.way_to_line(pose)
+        gradient, matrix = np.zeros(4), np.zeros((4, 4))
+        cost, missed = add_walls(places, self.team.walls, by_pose, soft * RELAXED, gradient, matrix)
+        if slopes is not None:
+            slopes.pose += gradient
+            slopes.by_pose += matrix
+        return cost, missed
 
     def _distances(
         self, control: Floats, place: Floats, velocity: Floats, duration: float, frozen: Frozen,
@@ -493,7 +529,7 @@ class Problem:
         m, rows = n - 1, len(needs.floor)
         found = Found(
             np.zeros((rows, m, m)), np.zeros((rows, n, m)), np.zeros((rows, m)),
-            np.zeros((rows, m, m)), np.zeros((rows, m)), np.zeros(rows),
+            np.zeros((rows, m)), np.zeros((rows, m, m)), np.zeros((rows, m)), np.zeros(rows),
         )  # fmt: skip
         memory = Memory(
             np.empty((m, _PIECES + 1, 3)), np.empty((m, _PIECES + 1, 5)), np.empty((m, 6)),

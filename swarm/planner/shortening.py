@@ -11,6 +11,7 @@ The certificate judges the result. Where it finds less than is needed, for the c
 after lost setpoints, needs grow there, and another round of steps begins where the last one ended.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -18,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from swarm.certification.air import LEAST_SINKING, jet_width
+from swarm.certification.air import LEAST_SINKING, jet_width, wind_tilt
 from swarm.certification.budget import needed_distances
 from swarm.certification.cable_spans import exempt_length
 from swarm.certification.clearances import PlanChecks
@@ -28,6 +29,8 @@ from swarm.errors import Refused
 from swarm.geometry.catenary import MAX_CHORD_RATIO
 from swarm.geometry.lumped_mass import Strands, cable_model
 from swarm.geometry.motion import Motion, through_states
+from swarm.geometry.solids import grown, half_space, obstacles_of, rows, upright_box
+from swarm.mission import Mission
 from swarm.planner.fold_problem import (
     LOSS_EVERY,
     RELAXED_SHARE,
@@ -42,10 +45,11 @@ from swarm.planner.fold_problem import (
     modes,
 )
 from swarm.planner.pacing import swing_limit
-from swarm.planner.team_terms import RELAXED, Needs, Team, band_times
+from swarm.planner.team_terms import RELAXED, Needs, Team, Walls, band_times
 from swarm.planning import Plan
 from swarm.planning.assembly import fold_of, with_fold
-from swarm.planning.phase_motion import usable_acceleration
+from swarm.planning.phase_motion import TAKEOFF_HEIGHT, usable_acceleration
+from swarm.planning.phase_sequence import PADS_ASIDE, laid_along
 from swarm.planning.plan import Phase
 from swarm.planning.shaping import largest_stray
 
@@ -66,6 +70,9 @@ _ROOM, _ROOM_AFTER_LOSS, _MORE_AFTER_LOSS = 0.02, 0.05, 0.05
 """Metres beyond needs: for moments between the sampled ones, for polygons in place of strands, and
 for a tracking error or a wind that are a little larger than asked for;
 after lost setpoints, and in every further round where the certificate's bound needs more."""
+
+_LIFTED = 12
+"""Heights in the lift at which vehicles are compared with walls: about every metre."""
 
 _KEPT_AT_REST, _LEAST_AT_REST = 0.015, 0.3
 """Metres by which a need is less than what the folded knot keeps, where that is less than it, and
@@ -179,7 +186,10 @@ def shorten(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) ->
     for number in range(_ROUNDS):
         progress("shortening the fold", number / _ROUNDS)
         weight = _LATER_WEIGHT if number else _FIRST_WEIGHT
-        fold, frozen = _centred(short, fold, frozen, (wanted, room), weight)
+        centred = _centred(short, fold, frozen, (wanted, room), weight)
+        if centred is None:
+            break
+        fold, frozen = centred
         found = short.plan_with(fold)
         if PlanChecks.of(found).spans.problems:
             break
@@ -227,6 +237,7 @@ def _problem_of(plan: Plan) -> tuple[Problem, Fold]:
         limits,
         last,
         along - 0.5 * along[-1],
+        _before(mission, plan.layout.lengths, along - 0.5 * along[-1]),
         max(_CONTROL_POINTS, round(_POINTS_PER_SECOND * end)),
         cable_model(mission.cable.mass_per_length, mission.cable.diameter).normal_drag,
         float(jet_width(mission, np.zeros(1))[0]),
@@ -235,11 +246,27 @@ def _problem_of(plan: Plan) -> tuple[Problem, Fold]:
     return problem, problem.fitted(places, pose, end)
 
 
+def _before(mission: Mission, lengths: Floats, along: Floats) -> Floats:
+    """Return the places (r, 4) of vehicles on their way to the line: see :class:`.Problem`.
+
+    On pads and above them, above the cable on the floor, and in the lift.
+    """
+    laid, aside = laid_along(lengths), PADS_ASIDE * mission.clearance.vehicle
+    start = [
+        (each, apart, 0.0, height)
+        for each in laid
+        for apart, height in ((aside, 0.0), (aside, TAKEOFF_HEIGHT), (0.0, TAKEOFF_HEIGHT))
+    ]
+    lifted = [(each, 0.0, share, 0.0) for each in along for share in np.linspace(0.0, 1.0, _LIFTED)]
+    return np.array([*start, *lifted])
+
+
 def _team(plan: Plan, tracking: float, room: float, swing: float) -> Team:
     mission = plan.mission
     clearance, radius = mission.clearance, 0.5 * mission.cable.diameter
     return Team(
         lengths=np.ascontiguousarray(plan.layout.lengths),
+        walls=_walls(mission, tracking + room, radius + swing + room),
         exempt=exempt_length(plan),
         tracking=tracking,
         offset=mission.vehicles.grip_offset,
@@ -250,7 +277,40 @@ def _team(plan: Plan, tracking: float, room: float, swing: float) -> Team:
         floor=clearance.floor + radius + swing + room,
         aside=clearance.vehicle + 2.0 * tracking + room,
         above=clearance.downwash + 2.0 * tracking + room,
+        tilt=wind_tilt(plan, mission.wind.steady) if tracking else 0.0,
     )
+
+
+def _walls(mission: Mission, apart: float, beside: float) -> Walls:
+    """Return ceiling, fence and obstacles, with ``apart`` and ``beside`` metres more than required
+    from grip points and from the middles of strands.
+
+    A side of a fence that has all of it on one side is a half-space; any other is an upright plate.
+    """
+    vehicles, workspace = mission.vehicles, mission.workspace
+    fence = np.reshape(workspace.fence or (), (-1, 2))
+    sides = np.roll(fence, -1, axis=0) - fence
+    if (fence[:, 0] * sides[:, 1] - fence[:, 1] * sides[:, 0]).sum() < 0.0:
+        fence = fence[::-1]
+        sides = np.roll(fence, -1, axis=0) - fence
+    bounds = []
+    for (x, y), (east, north) in zip(fence, sides, strict=True):
+        length = math.hypot(east, north)
+        if ((fence[:, 1] - y) * east - (fence[:, 0] - x) * north >= -1e-9 * length).all():
+            bounds.append(half_space((x, y, 0.0), (-north, east, 0.0)))
+        else:
+            middle, turn = (x + 0.5 * east, y + 0.5 * north), math.atan2(north, east)
+            bounds.append(upright_box(middle, (length, 0.0), turn, -math.inf, math.inf))
+    above = half_space((0.0, 0.0, workspace.ceiling - vehicles.grip_offset), (0.0, 0.0, -1.0))
+    others, sideways = obstacles_of(mission), rows(bounds)
+    grown_ = grown(others, vehicles.radius, vehicles.grip_offset)
+    every = np.concatenate([rows([above]), sideways, others])
+    around, none = len(sideways), mission.clearance.obstacle * np.ones(len(others))
+    return Walls(
+        np.concatenate([rows([above]), sideways, grown_]), every,
+        apart + np.concatenate([[0.0], np.full(around, vehicles.radius), none]),
+        beside + np.concatenate([[-math.inf], np.zeros(around), none]),
+    )  # fmt: skip
 
 
 def _needs(team: Team, room: Floats) -> Needs:
@@ -259,7 +319,8 @@ def _needs(team: Team, room: Floats) -> Needs:
     more = room[:, None, None]
     return Needs(
         team.cable + more + np.zeros((n - 1, n - 1)), team.body + more + np.zeros((n, n - 1)),
-        team.floor + room[:, None] + np.zeros(n - 1), team.aside + more + np.zeros((n, n)),
+        team.floor + room[:, None] + np.zeros(n - 1), team.walls.inside + room[:, None],
+        room[:, None] + np.zeros(n - 1), team.aside + more + np.zeros((n, n)),
         team.above + more + np.zeros((n, n)), team.taut + room,
     )  # fmt: skip
 
@@ -290,9 +351,10 @@ def _measured_first(short: Shortening, fold: Fold) -> Frozen:
 
 def _centred(
     short: Shortening, fold: Fold, frozen: Frozen, wanted: tuple[Floats, Floats], weight: float
-) -> tuple[Fold, Frozen]:
+) -> tuple[Fold, Frozen] | None:
     """Return the motion at the end of a round of steps, and what is measured at it.
 
+    None where the steps converge to a motion that misses a limit, however stiff barriers get.
     ``wanted`` are least needs of strands (s, m, m), and the room (l,) after lost setpoints.
     """
     problem, (strands, room) = short.problem, wanted
@@ -307,15 +369,18 @@ def _centred(
             frozen, stray = _with_gains(short, fold, frozen, shown, _TOWARDS)
             frozen = replace(frozen, coasting=_coasting(short, fold, room))
         exceeded = _exceeded(problem.limits, shown, stray)
+        before = frozen.soft, weight
         soft = max(_HARDER * frozen.soft, min(_AS_EXCEEDED * exceeded, _SOFTEST), 1.0)
         frozen = replace(frozen, soft=soft)
-        kept = exceeded == 0.0 and soft == 1.0 and measured
-        if kept and step.share and step.decrement < _CONVERGED and weight == _LAST_WEIGHT:
+        converged = step.share > 0.0 and step.decrement < _CONVERGED
+        if converged and exceeded == 0.0 and soft == 1.0 and measured and weight == _LAST_WEIGHT:
             break
         near = step.decrement < _NEAR_CENTRE
         enough = step.share > (_BRIEF if near else _WHOLE) and step.decrement < _FAR_FROM_CENTRE
         if enough and exceeded < _NEARLY_KEPT:
             weight = min(weight * (_GROWTH + _FASTER * step.share), _LAST_WEIGHT)
+        if converged and soft > 1.0 and soft >= before[0] and weight == before[1]:
+            return None
     return fold, frozen
 
 
@@ -346,6 +411,7 @@ def _with_needs(
         strands=towards(needs.strands, np.where(found.strands > 0.0, strands, 0.0)),
         bodies=towards(needs.bodies, found.bodies),
         floor=towards(needs.floor, found.floor),
+        beside=towards(needs.beside, found.beside),
     )
     squares, damping = modes(found.sags)
     return replace(frozen, needs=needs, squares=squares, damping=damping)
@@ -556,13 +622,14 @@ def _by_unknowns(problem: Problem, fold: Fold, slopes: Slopes, weight: float) ->
     inner = slice(edge, slopes.gradient.size - edge)
     by_pose = problem.by_pose(fold.pose)
     flat, mixed = slopes.gradient.reshape(-1), slopes.mixed.reshape(-1)
-    gradient = np.concatenate([[slopes.by_duration + weight], by_pose.T @ flat, flat[inner]])
+    by_line = by_pose.T @ flat + slopes.pose
+    gradient = np.concatenate([[slopes.by_duration + weight], by_line, flat[inner]])
     vectors = np.ascontiguousarray(by_pose.T).reshape(-1, *slopes.gradient.shape)
     moved = matrix_times(slopes, vectors).reshape(len(vectors), -1).T
     corner = np.empty((5, 5))
     corner[0, 0] = max(slopes.twice, 1e-3)
     corner[0, 1:] = corner[1:, 0] = by_pose.T @ mixed
-    corner[1:, 1:] = by_pose.T @ moved
+    corner[1:, 1:] = by_pose.T @ moved + slopes.by_pose
     border = np.column_stack([mixed[inner], moved[inner]])
     return Quadratic(gradient, corner, border, slopes, inner)
 

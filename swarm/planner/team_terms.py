@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from swarm.geometry.catenary import solve_catenary
 from swarm.geometry.distance import Vector, segment_distance
+from swarm.geometry.solids import plane_beside
 from swarm.jit import compiled, inner
 from swarm.signatures import Floats1, Floats2, Floats3, Ints1, Ints2
 
@@ -39,17 +40,32 @@ _FLAT = 1e-9
 """Determinant of K(ℓ) below which a strand's response counts as that of a straight line."""
 
 
+class Walls(NamedTuple):
+    """What bounds the workspace, or stands in it: solids, each for vehicles and for strands.
+
+    Grip points keep ``inside`` (q,) metres from the ``grown`` solids (q, 12), and the middles of
+    strands ``beside`` (q,) metres from ``solids`` (q, 12), −∞ from those that only bound vehicles.
+    """
+
+    grown: Floats2
+    solids: Floats2
+    inside: Floats1
+    beside: Floats1
+
+
 class Team(NamedTuple):
-    """What all moments share: ``lengths`` (m,), and distances in metres.
+    """What all moments share: ``lengths`` (m,), ``walls``, and distances in metres.
 
     ``exempt`` is the length of cable beside a shared vehicle that is not compared, ``tracking`` the
     tracking radius, ``offset`` the height of a vehicle's centre above its grip point, ``chord`` the
     largest chord over length, and ``taut`` by how much less it is. ``cable`` and ``body`` are
     required between the middles of two strands, and of a strand and a vehicle's centre, ``floor``
-    below a strand, ``aside`` or ``above`` between two vehicles.
+    below a strand, ``aside`` or ``above`` between two vehicles. ``tilt`` is that of the effective
+    gravity in the mission's wind.
     """
 
     lengths: Floats1
+    walls: Walls
     exempt: float
     tracking: float
     offset: float
@@ -60,17 +76,21 @@ class Team(NamedTuple):
     floor: float
     aside: float
     above: float
+    tilt: float
 
 
 class Needs(NamedTuple):
     """Needed distances at s moments, metres: of strands (s, m, m), of vehicles and strands
-    (s, n, m), of the lowest points of strands (s, m) from the floor, and of vehicles beside each
+    (s, n, m), of the lowest points of strands (s, m) from the floor, of vehicles (s, q) from
+    walls, of strands (s, m) from them beyond :attr:`Walls.beside`, and of vehicles beside each
     other or above each other (s, n, n), of which either is enough; and by how much chords are
     shorter than the longest (s,)."""
 
     strands: Floats3
     bodies: Floats3
     floor: Floats2
+    inside: Floats2
+    beside: Floats2
     aside: Floats3
     above: Floats3
     taut: Floats1
@@ -86,6 +106,7 @@ class Found(NamedTuple):
     strands: Floats3
     bodies: Floats3
     floor: Floats2
+    beside: Floats2
     distances: Floats3
     sags: Floats2
     missed: Floats1
@@ -234,6 +255,12 @@ def _by_end(
 
 
 @inner
+def _depth(start: Floats, end: Floats, height: float, share: float) -> float:
+    """Return how far a point at a share of a strand is below its chord."""
+    return float(start[2] + share * (end[2] - start[2]) - height)
+
+
+@inner
 def _add(
     derivatives: Derivatives, at: _At, vehicles: tuple[int, int, int, int], count: int,
     slope: float, curvature: float,
@@ -360,11 +387,14 @@ def _moment(
     for i in range(strands):
         if only < 0 or only in (i, i + 1):
             cost += _strand_alone(at, i, place, team, needs, found, memory, derivatives)
+            cost += _beside_walls(at, i, place, team, needs, found, memory, derivatives)
     for i in range(strands):
         for j in range(i + 1, strands):
             if only < 0 or only in (i, i + 1, j, j + 1):
                 cost += _strands(at, i, j, place, team, needs, found, memory, derivatives)
     for i in range(strands + 1):
+        if only < 0 or only == i:
+            cost += _within_walls(at, i, place, team, needs, found, derivatives)
         for j in range(i + 1, strands + 1):
             if only < 0 or only in (i, j):
                 cost += _vehicles(at, i, j, place, needs, found, derivatives)
@@ -427,7 +457,17 @@ def _strands(
                     moved += _size(_less(here, rest_there))
                 else:
                     moved += _size(here) + _size(rest_there)
-                found.strands[at.row, i, j] = team.cable + team.tracking * moved
+                # all strands lean alike: what hangs as deep moves as far
+                deeper = _depth(
+                    place[i], place[i + 1], first[a, 2] + p * (first[a + 1, 2] - first[a, 2]),
+                    (a + p) / pieces,
+                ) - _depth(
+                    place[j], place[j + 1], second[b, 2] + q * (second[b + 1, 2] - second[b, 2]),
+                    (b + q) / pieces,
+                )  # fmt: skip
+                found.strands[at.row, i, j] = (
+                    team.cable + team.tracking * moved + team.tilt * abs(deeper)
+                )
             value, slope, curvature = barrier(distance - need, at.range, at.relaxed)
             cost += _PART * value
             if at.derive:
@@ -507,8 +547,11 @@ def _bodies(
         rest = _less(normal, there)
         if distance < best:
             best = distance
-            found.bodies[at.row, i, j] = team.body + team.tracking * (
-                1.0 + _size(there) + _size(rest)
+            deep = _depth(
+                place[j], place[j + 1], points[b, 2] + part * ez, (b + part) / (len(points) - 1)
+            )
+            found.bodies[at.row, i, j] = (
+                team.body + team.tracking * (1.0 + _size(there) + _size(rest)) + team.tilt * deep
             )
         value, slope, curvature = barrier(distance - need, end, at.relaxed)
         cost += _PART * value
@@ -568,6 +611,103 @@ def _strand_alone(
         _set(derivatives.by, 0, rest, 1.0)
         _set(derivatives.by, 1, there, 1.0)
         _add(derivatives, at, (i, i + 1, 0, 0), 2, slope, curvature)
+    return cost
+
+
+@inner
+def _within_walls(
+    at: _At, i: int, place: Floats, team: Team, needs: Needs, found: Found,
+    derivatives: Derivatives,
+) -> float:  # fmt: skip
+    """Cost of a vehicle and all walls."""
+    cost = 0.0
+    for q in range(len(team.walls.grown)):
+        normal, distance = plane_beside(
+            team.walls.grown[q], (place[i, 0], place[i, 1], place[i, 2])
+        )
+        slack = distance - needs.inside[at.row, q]
+        value, slope, curvature = barrier(slack, at.range, at.relaxed)
+        cost += value
+        found.missed[at.row] = max(found.missed[at.row], -slack)
+        if at.derive and value > 0.0:
+            _set(derivatives.by, 0, normal, 1.0)
+            _add(derivatives, at, (i, 0, 0, 0), 1, slope, curvature)
+    return cost
+
+
+@compiled
+def add_walls(
+    places: Floats2, walls: Walls, by_pose: Floats3, relaxed: float, gradient: Floats1,
+    matrix: Floats2,
+) -> tuple[float, float]:  # fmt: skip
+    """Return the cost of vehicles at places (r, 3) and all walls, and the largest missed need.
+
+    Add the gradient (4,) and the Gauss-Newton matrix (4, 4) by a pose, of which the places have the
+    derivatives ``by_pose`` (r, 3, 4).
+    """
+    cost, missed = 0.0, 0.0
+    for r in range(len(places)):
+        for q in range(len(walls.grown)):
+            point = (places[r, 0], places[r, 1], places[r, 2])
+            normal, distance = plane_beside(walls.grown[q], point)
+            slack = distance - walls.inside[q]
+            value, slope, curvature = barrier(slack, RANGE, relaxed)
+            if value == 0.0:
+                continue
+            cost, missed = cost + value, max(missed, -slack)
+            for a in range(4):
+                first = 0.0
+                for x in range(3):
+                    first += normal[x] * by_pose[r, x, a]
+                gradient[a] += slope * first
+                for b in range(4):
+                    second = 0.0
+                    for x in range(3):
+                        second += normal[x] * by_pose[r, x, b]
+                    matrix[a, b] += curvature * first * second
+    return cost, missed
+
+
+@inner
+def _beside_walls(
+    at: _At, i: int, place: Floats, team: Team, needs: Needs, found: Found, memory: Memory,
+    derivatives: Derivatives,
+) -> float:  # fmt: skip
+    """Cost of a strand and all walls: of its points that are near."""
+    cost, best, walls, length = 0.0, np.inf, team.walls, team.lengths[i]
+    middle = (
+        0.5 * (place[i, 0] + place[i + 1, 0]), 0.5 * (place[i, 1] + place[i + 1, 1]),
+        0.5 * (place[i, 2] + place[i + 1, 2]),
+    )  # fmt: skip
+    for q in range(len(walls.solids)):
+        need = walls.beside[q] + needs.beside[at.row, i]
+        # no point of a strand is farther from the middle of its chord than half its length
+        if plane_beside(walls.solids[q], middle)[1] >= need + at.range + 0.5 * length:
+            continue
+        _require_strand(i, at, place, team, found, memory)
+        points, last = memory.points[i], len(memory.points[i]) - 1
+        for k in range(last + 1):
+            point = (points[k, 0], points[k, 1], points[k, 2])
+            normal, distance = plane_beside(walls.solids[q], point)
+            slack = distance - need
+            if slack >= at.range:
+                continue
+            piece, part = (k, 0.0) if k < last else (last - 1, 1.0)
+            there = _by_end(place[i], place[i + 1], memory.responses[i], (piece, part), normal)
+            rest = _less(normal, there)
+            if slack < best:
+                best = slack
+                deep = _depth(place[i], place[i + 1], points[k, 2], k / last)
+                found.beside[at.row, i] = (
+                    team.tracking * (_size(there) + _size(rest)) + team.tilt * deep
+                )
+            value, slope, curvature = barrier(slack, at.range, at.relaxed)
+            cost += _PART * value
+            if at.derive:
+                _set(derivatives.by, 0, rest, 1.0)
+                _set(derivatives.by, 1, there, 1.0)
+                _add(derivatives, at, (i, i + 1, 0, 0), 2, _PART * slope, _PART * curvature)
+    found.missed[at.row] = max(found.missed[at.row], -best)
     return cost
 
 

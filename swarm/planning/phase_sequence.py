@@ -24,6 +24,9 @@ Floats = npt.NDArray[np.float64]
 LAID_SHARE = 0.99
 """Distance between grip points on the floor over the cable between them; a taut cable jerks."""
 
+PADS_ASIDE = 1.5
+"""Distance of pads from the cable on the floor, over the one that vehicles keep from each other."""
+
 _STAGGER = 0.6
 """Seconds between the starts of two neighbours' descents to the cable."""
 
@@ -119,7 +122,7 @@ def _before_fold(
     heading = (grip[-1] - grip[0]) / np.linalg.norm(grip[-1] - grip[0])
     aside = np.array([-heading[1], heading[0], 0.0])
     side = -1.0 if float(np.mean((folded - contracted[-1]) @ aside)) > 0.0 else 1.0
-    pads = grip + 1.5 * mission.clearance.vehicle * side * aside
+    pads = grip + PADS_ASIDE * mission.clearance.vehicle * side * aside
     up, low, carried = (
         np.array([0.0, 0.0, height]) for height in (TAKEOFF_HEIGHT, GRAB_HEIGHT, CARRY_HEIGHT)
     )
@@ -180,7 +183,13 @@ def _before_fold_attached(mission: Mission, lifted: Floats) -> tuple[PhaseMotion
 def _grip_points_on_floor(contracted: Floats, lengths: Floats) -> Floats:
     """Return grip points (n, 3) on the floor: the cable almost straight, centred on the line."""
     heading = (contracted[-1] - contracted[0]) / np.linalg.norm(contracted[-1] - contracted[0])
-    along = np.concatenate([[0.0], np.cumsum(LAID_SHARE * lengths)])
     middle = 0.5 * (contracted[0] + contracted[-1])
-    placed: Floats = middle + (along - 0.5 * along[-1])[:, None] * heading
+    placed: Floats = middle + laid_along(lengths)[:, None] * heading
+    return placed
+
+
+def laid_along(lengths: Floats) -> Floats:
+    """Return the places (n,) of grip points along the cable on the floor, from its middle."""
+    along = np.concatenate([[0.0], np.cumsum(LAID_SHARE * lengths)])
+    placed: Floats = along - 0.5 * along[-1]
     return placed
