@@ -252,7 +252,8 @@ def test_a_shorter_fold_is_cleared_and_needs_no_slower_clock() -> None:
 def test_an_optimised_fold_is_the_same_from_a_start_that_differs_by_millimetres() -> None:
     """It has converged, and is not where chance ended it."""
     short, fold = Shortening.of(as_certified().plan)
-    wanted = np.zeros((short.problem.moments, 4, 4)), np.full(len(short.loss_shares), 0.05)
+    moments, room = short.problem.moments, np.full(len(short.loss_shares), 0.05)
+    wanted = shortening.Wanted(np.zeros((moments, 4, 4)), np.zeros((moments, 5, 4))), room
     rng = np.random.default_rng(1)
     found = []
     for size in (0.0, 0.002):
@@ -262,6 +263,24 @@ def test_an_optimised_fold_is_the_same_from_a_start_that_differs_by_millimetres(
         assert centred is not None
         found.append(centred[0])
     assert found[0].duration == pytest.approx(found[1].duration, rel=0.03)
+
+
+def test_the_certificate_asks_for_more_where_a_clearance_does_not_hold() -> None:
+    plan = as_certified().plan
+    short, fold = Shortening.of(plan)
+    needs = shortening._measured_first(short, fold).needs
+    none = shortening.Wanted(np.zeros_like(needs.strands), np.zeros_like(needs.bodies))
+    before = shortening._wanted(short, plan, needs, none)
+    clearance = plan.mission.clearance.model_copy(update={"vehicle_cable": 2.5})
+    strict = replace(plan, mission=plan.mission.model_copy(update={"clearance": clearance}))
+    asked = shortening._wanted(short, strict, needs, none)
+    np.testing.assert_array_equal(asked.strands, before.strands)
+    assert not before.bodies.any()
+    short_of = asked.bodies > 0.0
+    assert short_of.any(axis=(1, 2)).mean() < 1.0, "at some moments only"
+    assert (asked.bodies > needs.bodies)[short_of].all()
+    again = shortening._wanted(short, plan, needs, asked)
+    np.testing.assert_array_equal(again.bodies, asked.bodies)
 
 
 def test_steps_lower_the_cost_and_shorten_the_fold_while_strands_stay_apart() -> None:

@@ -272,6 +272,15 @@ def violations(plan: Plan, *, swinging: bool = True) -> tuple[Moment, ...]:
     return _failing(plan, checks.certified_tube)
 
 
+def violations_in_wind(plan: Plan, speed: float) -> tuple[Moment, ...]:
+    """Return the moments at which clearances do not hold in every steady wind up to a speed, m/s.
+
+    As :func:`violations`, of the clearances that winds change; none without wind.
+    """
+    every = _windy(plan)(speed) if speed else ()
+    return tuple(chain.from_iterable(side_by_side(_violations, every)))
+
+
 def _failing(plan: Plan, tube: TubeRadii | None) -> tuple[Moment, ...]:
     every = families_of(plan, tube)(plan.mission.vehicles.tracking)
     return tuple(chain.from_iterable(side_by_side(_violations, every)))

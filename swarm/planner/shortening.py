@@ -7,13 +7,15 @@ limits towards a shortest one. After every step, what a motion shows is measured
 tracking errors and frequencies of the swing, and after every other one the swing's correction by
 lumped masses and how far vehicles move on without setpoints.
 
-The certificate judges the result. Where it finds less than is needed, for the clearance budget or
-after lost setpoints, needs grow there, and another round of steps begins where the last one ended.
+The certificate judges the result. Where it finds less than is needed, for a clearance in still air
+or in wind, for the budget or after lost setpoints, needs grow there, and another round of steps
+begins where the last one ended.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +24,8 @@ import scipy
 from swarm.certification.air import LEAST_SINKING, jet_width, wind_tilt
 from swarm.certification.budget import needed_distances
 from swarm.certification.cable_spans import exempt_length
-from swarm.certification.clearances import PlanChecks
+from swarm.certification.clearances import PlanChecks, violations, violations_in_wind
+from swarm.certification.distances import segment_name, vehicle_name
 from swarm.certification.stream_loss import StreamLossBound, StreamLossModel
 from swarm.certification.swing_runs import strands_of
 from swarm.errors import Refused
@@ -179,10 +182,8 @@ def shorten(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) ->
     short, fold = Shortening.of(plan)
     require_solvable(plan.vehicles, fold.duration, short.problem.count)
     fold, frozen = _slow_enough(short, fold)
-    wanted, room = (
-        np.zeros_like(frozen.needs.strands),
-        np.full(len(short.loss_shares), _ROOM_AFTER_LOSS),
-    )
+    wanted = Wanted(np.zeros_like(frozen.needs.strands), np.zeros_like(frozen.needs.bodies))
+    room = np.full(len(short.loss_shares), _ROOM_AFTER_LOSS)
     for number in range(_ROUNDS):
         progress("shortening the fold", number / _ROUNDS)
         weight = _LATER_WEIGHT if number else _FIRST_WEIGHT
@@ -193,11 +194,10 @@ def shorten(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) ->
         found = short.plan_with(fold)
         if PlanChecks.of(found).spans.problems:
             break
-        needed = _wanted(short, found)
         missed = _missed_after_losses(short, found)
         if accepted(found) and not missed.any():
             break
-        wanted, room = needed, room + _MORE_AFTER_LOSS * missed
+        wanted, room = _wanted(short, found, frozen.needs, wanted), room + _MORE_AFTER_LOSS * missed
     progress("shortening the fold", 1.0)
 
 
@@ -207,6 +207,14 @@ def _slow_enough(short: Shortening, fold: Fold) -> tuple[Fold, Frozen]:
     slower = max(1.0, float(np.sqrt(stray.max() / short.problem.limits.swing)))
     fold = replace(fold, duration=slower * fold.duration)
     return fold, replace(_measured_first(short, fold), soft=_SOFTEST)
+
+
+class Wanted(NamedTuple):
+    """Least needs of strands (s, m, m), and of vehicles and strands (s, n, m), that the certificate
+    asks for, metres."""
+
+    strands: Floats
+    bodies: Floats
 
 
 def require_solvable(vehicles: int, duration: float, control_points: int) -> None:
@@ -341,7 +349,7 @@ def _measured_first(short: Shortening, fold: Fold) -> Frozen:
     squares, damping = modes(np.ones((s, m)))
     needs = _needs(problem.team, np.zeros(s))
     frozen = Frozen(needs, squares, damping, np.ones((s, m)), None)
-    wanted = np.zeros_like(needs.strands)
+    wanted = Wanted(np.zeros_like(needs.strands), np.zeros_like(needs.bodies))
     frozen = _with_needs(short, frozen, problem.evaluate(fold, frozen), wanted, 1.0)
     for _ in range(2):
         shown = problem.evaluate(fold, frozen)
@@ -350,20 +358,20 @@ def _measured_first(short: Shortening, fold: Fold) -> Frozen:
 
 
 def _centred(
-    short: Shortening, fold: Fold, frozen: Frozen, wanted: tuple[Floats, Floats], weight: float
+    short: Shortening, fold: Fold, frozen: Frozen, asked: tuple[Wanted, Floats], weight: float
 ) -> tuple[Fold, Frozen] | None:
     """Return the motion at the end of a round of steps, and what is measured at it.
 
     None where the steps converge to a motion that misses a limit, however stiff barriers get.
-    ``wanted`` are least needs of strands (s, m, m), and the room (l,) after lost setpoints.
+    ``asked`` are what the certificate asks for, and the room (l,) after lost setpoints.
     """
-    problem, (strands, room) = short.problem, wanted
+    problem, (wanted, room) = short.problem, asked
     frozen = replace(frozen, coasting=_coasting(short, fold, room))
     damping, stray = 1.0, 0.0
     for number in range(1, _MOST_STEPS + 1):
         step = _newton_step(problem, fold, frozen, weight, damping)
         fold, shown, damping = step.fold, step.shown, step.damping
-        frozen = _with_needs(short, frozen, shown, strands, _TOWARDS)
+        frozen = _with_needs(short, frozen, shown, wanted, _TOWARDS)
         measured = number % _MEASURED_EVERY == 0
         if measured:
             frozen, stray = _with_gains(short, fold, frozen, shown, _TOWARDS)
@@ -398,7 +406,7 @@ def _exceeded(limits: Limits, shown: Evaluation, stray: float) -> float:
 
 
 def _with_needs(
-    short: Shortening, frozen: Frozen, shown: Evaluation, wanted: Floats, share: float
+    short: Shortening, frozen: Frozen, shown: Evaluation, wanted: Wanted, share: float
 ) -> Frozen:
     """Return needs and modes as a motion shows them, by a ``share`` of their changes."""
     found, needs = shown.found, frozen.needs
@@ -406,10 +414,11 @@ def _with_needs(
     def towards(old: Floats, new: Floats) -> Floats:
         return np.where(new > 0.0, old + share * (new - old), old)
 
-    strands = np.minimum(np.maximum(found.strands, wanted), short.caps)
+    strands = np.minimum(np.maximum(found.strands, wanted.strands), short.caps)
+    bodies = np.where(found.bodies > 0.0, np.maximum(found.bodies, wanted.bodies), 0.0)
     needs = needs._replace(
         strands=towards(needs.strands, np.where(found.strands > 0.0, strands, 0.0)),
-        bodies=towards(needs.bodies, found.bodies),
+        bodies=towards(needs.bodies, bodies),
         floor=towards(needs.floor, found.floor),
         beside=towards(needs.beside, found.beside),
     )
@@ -455,22 +464,39 @@ def _coasting(short: Shortening, fold: Fold, room: Floats) -> Coasting:
     )  # fmt: skip
 
 
-def _wanted(short: Shortening, plan: Plan) -> Floats:
+def _wanted(short: Shortening, plan: Plan, needs: Needs, before: Wanted) -> Wanted:
+    """Return what the certificate asks for, beyond ``needs`` that are too small and ``before``."""
+    fold = plan.phase("fold")
+    at = short.problem.shares * fold.duration + fold.start
+    strands = np.maximum(before.strands, _needed_for_budget(plan, at))
+    bodies = before.bodies.copy()
+    segments = {segment_name(k): k for k in range(plan.vehicles - 1)}
+    vehicles = {vehicle_name(k): k for k in range(plan.vehicles)}
+    for moment in (*violations(plan), *violations_in_wind(plan, plan.mission.wind.steady)):
+        first, second = moment.between
+        rows = np.abs(at - moment.time) <= _AROUND
+        for least, need, names in (
+            (strands, needs.strands, segments), (bodies, needs.bodies, vehicles)
+        ):  # fmt: skip
+            if first in names and second in segments:
+                here = rows, names[first], segments[second]
+                least[here] = np.maximum(least[here], need[here] - moment.margin + _ROOM)
+    return Wanted(np.minimum(strands, short.caps), bodies)
+
+
+def _needed_for_budget(plan: Plan, at: Floats) -> Floats:
     """Return the distances (s, m, m) between the middles of strands at which budgets close."""
-    problem, tube = short.problem, PlanChecks.of(plan).tube
-    m = len(problem.team.lengths)
-    found = np.zeros((problem.moments, m, m))
+    m, tube = plan.vehicles - 1, PlanChecks.of(plan).tube
+    found = np.zeros((len(at), m, m))
     if tube is None or plan.mission.limits.accept_negative_budget:
         return found
     pairs, times = tube.pairs.close.pairs, tube.pairs.close.times
     needed = needed_distances(plan, tube.pairs) + plan.mission.cable.diameter + _ROOM
-    fold = plan.phase("fold")
-    at = problem.shares * fold.duration + fold.start
     for i, j in dict.fromkeys(map(tuple, pairs.tolist())):
         rows = np.flatnonzero((pairs == (i, j)).all(axis=1))
         near = np.abs(at[:, None] - times[rows]) <= _AROUND
         found[:, i, j] = np.where(near, needed[rows], 0.0).max(axis=1)
-    return np.minimum(found, short.caps)
+    return found
 
 
 def _missed_after_losses(short: Shortening, plan: Plan) -> npt.NDArray[np.bool_]:

@@ -6,7 +6,13 @@ import pytest
 from swarm.certification import strand_pieces as pieces
 from swarm.certification.air import wind_tilt
 from swarm.certification.cable_spans import all_pairs, exempt_length
-from swarm.certification.clearances import failure_in_wind, families, largest_wind, tightest_moments
+from swarm.certification.clearances import (
+    failure_in_wind,
+    families,
+    largest_wind,
+    tightest_moments,
+    violations_in_wind,
+)
 from swarm.geometry.catenary import Catenary, solve_catenaries
 from tests.certification.oracle import catenary, closest, displaced
 from tests.certification.synthetic import moving, plan_of
@@ -69,6 +75,12 @@ def test_in_no_wind_up_to_the_certified_one_strands_come_nearer_than_required():
     assert nearest_in_winds(plan, most, pair) >= plan.mission.clearance.cable
     assert failure_in_wind(plan, most) is None
     assert failure_in_wind(plan, 0.3 * most) is None
+    assert violations_in_wind(plan, most) == violations_in_wind(plan, 0.0) == ()
+    short = violations_in_wind(plan, most + 0.5)
+    failed = failure_in_wind(plan, most + 0.5)
+    assert failed is not None
+    assert failed[1] in {moment.between for moment in short}
+    assert all(moment.margin < 0.0 for moment in short)
 
 
 MOVED = [
