@@ -113,7 +113,7 @@ def advance(chain: Chain, spec: ChainSpec, guidance: Guidance, interval: float, 
             size //= 2
             continue
         _add_means(chain, system[4], impulse, 1.0 / (step * interval))
-        _touch_floor(chain, spec, after, step)
+        _touch_floor(chain, spec, after)
         for i in range(nodes):
             drift = share if chain.held[i] else 0.0
             for x in range(3):
@@ -298,15 +298,19 @@ def _turns_far(chain: Chain, after: Array) -> bool:
 
 
 @inner
-def _touch_floor(chain: Chain, spec: ChainSpec, after: Array, step: float) -> None:
-    """Keep free nodes above the floor; friction slows nodes that lie on it."""
+def _touch_floor(chain: Chain, spec: ChainSpec, after: Array) -> None:
+    """Keep free nodes above the floor; friction slows nodes by what presses them to it.
+
+    That is what moves them below the floor: weight, air that blows down, and what links pull.
+    """
     for i in range(len(after)):
         if chain.held[i] or after[i, 2] > spec.floor:
             continue
+        pressed = spec.floor - after[i, 2]
         after[i, 2] = spec.floor
         east, north = after[i, 0] - chain.place[i, 0], after[i, 1] - chain.place[i, 1]
         moved = np.sqrt(east * east + north * north)
-        share = max(0.0, 1.0 - spec.friction * spec.gravity * step * step / max(moved, 1e-12))
+        share = max(0.0, 1.0 - spec.friction * pressed / max(moved, 1e-12))
         after[i, 0] = chain.place[i, 0] + share * east
         after[i, 1] = chain.place[i, 1] + share * north
 

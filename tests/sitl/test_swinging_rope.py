@@ -101,6 +101,24 @@ def test_free_fall_and_coming_to_rest_on_the_floor() -> None:
     assert np.abs(made.update(np.zeros((2, 3)), 0.0) - shape).max() < 1e-3, "friction holds it"
 
 
+@pytest.mark.parametrize(
+    ("wind", "wash", "stays"), [(2.0, 0.0, True), (2.0, 8.0, True), (4.0, 0.0, False)]
+)
+def test_wind_across_moves_cable_on_the_floor_by_more_than_its_friction(
+    wind: float, wash: float, stays: bool
+) -> None:
+    """A jet makes the wind's drag larger, and presses the cable to the floor by more than that."""
+    made = rope(6.0, [0.0], floor=0.0)
+    made.set_wind(np.array([0.0, wind, 0.0]))
+    speed = np.zeros((len(made.arc), 2))
+    speed[:, 1] = wash
+    made.set_wash(speed)
+    for _ in range(round(5.0 / STEP)):
+        made.forces(np.zeros((2, 3)), np.zeros((2, 3)))
+    aside = float(np.abs(made.update(np.zeros((2, 3)), 0.0)[:, 1]).max())
+    assert aside < 1e-3 if stays else aside > 0.3
+
+
 def test_a_taut_cable_stretches_by_its_stiffness_and_breaks_at_its_load() -> None:
     made = rope(2.0, [0.0, 2.0], stiffness=1500.0, breaking_load=40.0)
     force = settle(made, np.array([[0.0, 0.0, 9.0], [2.02, 0.0, 9.0]]), 20.0)
