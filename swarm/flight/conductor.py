@@ -23,7 +23,6 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from swarm.certification.clearances import PlanChecks
 from swarm.certification.stream_loss import StreamLossCertificate
 from swarm.errors import Refused
 from swarm.flight import contingency, execute
@@ -33,7 +32,7 @@ from swarm.flight.flight_plan import Audit, ClearedPlan, FlightPlan
 from swarm.flight.guidance import Guidance, MissionClock
 from swarm.flight.observation import Observation
 from swarm.flight.observing import follow_swing, monitor, observe
-from swarm.flight.parameters import stream_loss_model
+from swarm.flight.parameters import stream_loss_model, stream_loss_of
 from swarm.flight.preparation import Preparation
 from swarm.flight.reporting import record_sample, snapshot_of, statistics_of
 from swarm.flight.requests import Request
@@ -102,10 +101,7 @@ def _stream_loss_of(setup: Setup) -> StreamLossCertificate:
     """Return the certified rates of the clock for lost setpoints, from the plan or computed."""
     fleet = setup.fleet
     model = stream_loss_model([(v.autopilot, {}) for v in fleet.vehicles], fleet.limits)
-    certified = setup.flight_plan.stream_loss
-    if certified is not None and certified.holds_for(setup.plan, model):
-        return certified
-    return PlanChecks.of(setup.plan).stream_loss(model)
+    return stream_loss_of(setup.flight_plan, model)
 
 
 class Conductor:

@@ -13,6 +13,7 @@ from swarm.errors import Refused
 from swarm.flight.preparation import (
     FIXES,
     Prepared,
+    Standstill,
     leave_offboard,
     prepared_team,
     problems_of,
@@ -102,9 +103,13 @@ class _Measurement:
 
 @dataclass
 class FleetListener:
-    """Receives a fleet and sends requests, without arming. Sans-IO, like the conductor."""
+    """Receives a fleet and sends requests, without arming. Sans-IO, like the conductor.
+
+    ``tracking`` is that of :class:`.Standstill`: in metres where corrections are sent.
+    """
 
     fleet: Fleet
+    tracking: float | None = None
     over: bool = False
     now: float = 0.0
     _events: list[Event] = field(default_factory=list)
@@ -116,6 +121,7 @@ class FleetListener:
 
     def __post_init__(self) -> None:
         self.team = Team(self.fleet, self._report)
+        self._standstill = Standstill(self.fleet, self.tracking)
 
     def receive(self, link: str, address: Address | None, data: bytes, now: float) -> bool:
         """Take bytes that arrived on a link from an address; return whether they were read."""
@@ -155,6 +161,17 @@ class FleetListener:
         findings = readiness(self.received, self.fleet, self.now)
         return [f for f in findings if "not guided" not in f.message]
 
+    def waits_for(self) -> list[Finding]:
+        """Return what a flight would wait for before it takes off, as it is now.
+
+        Call it several times a second: vehicles must stand for a while.
+        """
+        return self._standstill.problems(self.received, self.not_ready(), self.now)
+
+    def at_rest(self) -> bool:
+        """Whether :meth:`waits_for` has had nothing for long enough."""
+        return not self.waits_for() and self._standstill.long_enough(self.now)
+
     def placement(self, standing: Floats) -> Prepared | Finding:
         """Return the vehicles on the pads (n, 3) of a plan, or why they cannot be assigned."""
         heard = self.received
@@ -166,7 +183,9 @@ class FleetListener:
             words = f"no local position: system {', '.join(map(str, lost))}"
             return Finding("error", "position", words)
         try:
-            measured = np.array([v.position for v in heard])
+            rested = self._standstill.long_enough(self.now)
+            latest = np.array([v.position for v in heard])
+            measured = self._standstill.places if rested else latest
             self._prepared = prepared_team(heard, self.fleet, standing, measured)
             return self._prepared
         except Refused as error:

@@ -19,6 +19,7 @@ from swarm.certification.stream_loss import (
     StreamLossCertificate,
     StreamLossModel,
 )
+from swarm.flight.flight_plan import FlightPlan
 from swarm.mavlink.frames import AutopilotName
 from swarm.mission import Vehicles
 from swarm.mission.fleet import Fleet, Limits
@@ -355,11 +356,22 @@ def stream_loss_model(
     return StreamLossModel(timeout, limits.silence, descent, returns).shortest
 
 
+def stream_loss_of(flight_plan: FlightPlan, model: StreamLossModel) -> StreamLossCertificate:
+    """Return the certificate of a plan for lost setpoints of these vehicles.
+
+    It is the plan's own where that was computed for such vehicles; for others it takes minutes.
+    """
+    certified = flight_plan.stream_loss
+    if certified is not None and certified.holds_for(flight_plan.plan, model):
+        return certified
+    return PlanChecks.of(flight_plan.plan).stream_loss(model)
+
+
 def stream_loss_findings(
-    plan: Plan, model: StreamLossModel
+    flight_plan: FlightPlan, model: StreamLossModel
 ) -> tuple[StreamLossCertificate, list[Finding]]:
     """Return the certificate of a plan for lost setpoints of these vehicles, with findings."""
-    certificate = PlanChecks.of(plan).stream_loss(model)
+    certificate, plan = stream_loss_of(flight_plan, model), flight_plan.plan
     findings = certificate.findings()
     if certificate.delay:
         findings.extend(endurance_findings(plan, certificate.delay))

@@ -242,12 +242,83 @@ class Prepared:
 
 
 @dataclass
+class Standstill:
+    """Waits until vehicles on the ground are ready, use corrections, and report places at rest.
+
+    ``tracking``, metres: corrections are sent, and the errors of all receivers must be smaller;
+    None: positions are taken as they are. Flights and checks wait alike.
+    """
+
+    fleet: Fleet
+    tracking: float | None = None
+    _samples: list[tuple[float, Floats]] = field(default_factory=list)
+
+    def problems(
+        self, vehicles: Sequence[Vehicle], unready: list[Finding], now: float
+    ) -> list[Finding]:
+        """Take the present places; return what must still be waited for.
+
+        ``unready`` is what prevents the vehicles from arming. They are the same ones at each call.
+        """
+        measured = np.array([vehicle.position for vehicle in vehicles])
+        findings = unready or self._uncorrected(vehicles) or self._moved(vehicles, measured)
+        if findings:
+            self._samples.clear()
+        else:
+            self._samples.append((now, measured))
+        return findings
+
+    def long_enough(self, now: float) -> bool:
+        """Whether there was nothing to wait for over ``STANDING_TIME``."""
+        return bool(self._samples) and now - self._samples[0][0] >= STANDING_TIME
+
+    @property
+    def places(self) -> Floats:
+        """The mean places (m, 3) since then, each NED in the vehicle's own frame, metres."""
+        return np.asarray(np.mean([row for _, row in self._samples], axis=0))
+
+    def _uncorrected(self, vehicles: Sequence[Vehicle]) -> list[Finding]:
+        """Return the vehicles whose receivers do not use the corrections yet."""
+        if self.tracking is None or self.fleet.frame != "gps":
+            return []
+        found = []
+        for vehicle in vehicles:
+            fix, error = FIXES.get(vehicle.fix_type, ("", 0.0))
+            if error > self.tracking:
+                words = f"system {vehicle.system}: {fix}, with errors of {error:g} m, though "
+                words += "corrections are sent: RTK fixed is needed"
+                found.append(Finding("error", "position", words))
+        return found
+
+    def _moved(self, vehicles: Sequence[Vehicle], measured: Floats) -> list[Finding]:
+        """Return the vehicles that report another place than at first, though they stand.
+
+        Their estimators have just found their places, as with the first poses of motion capture. An
+        estimator follows the first corrections over seconds: they are waited for.
+        """
+        if not self._samples:
+            return []
+        most = self.fleet.limits.placement
+        if self.tracking is not None and self.fleet.frame == "gps":
+            most = min(most, 0.5 * self.tracking)
+        away = np.linalg.norm(measured - self._samples[0][1], axis=1)
+        return [
+            Finding(
+                "error",
+                "position",
+                f"system {vehicle.system} reports a motion of {distance:.2f} m on the ground",
+            )
+            for vehicle, distance in zip(vehicles, away.tolist(), strict=True)
+            if distance > most
+        ]
+
+
+@dataclass
 class Preparation:
     """Prepares the fleet's vehicles and assigns them to pads.
 
     ``standing`` (n, 3) are the planned places of the centres before take-off, mission ENU.
-    ``tracking``, metres: corrections are sent, and the team waits until the errors of all receivers
-    are smaller; None: positions are taken as they are.
+    ``tracking`` is that of :class:`Standstill`.
     """
 
     team: Team
@@ -259,7 +330,10 @@ class Preparation:
     _heard: list[Vehicle] = field(default_factory=list)
     _heard_at: float | None = None
     _conflict_at: float | None = None
-    _samples: list[tuple[float, Floats]] = field(default_factory=list)
+    _standstill: Standstill = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._standstill = Standstill(self.fleet, self.tracking)
 
     def tick(self, now: float, real: float) -> Prepared | Outcome | None:
         """Continue; return None until the team is ready, or cannot be.
@@ -280,15 +354,11 @@ class Preparation:
         if self._heard_at is None:
             return self._listen(now, real, waited)
         self._request(now)
-        measured = np.array([vehicle.position for vehicle in self._heard])
-        findings = (
-            readiness(self._heard, self.fleet, now) or self._uncorrected() or self._moved(measured)
-        )
+        unready = readiness(self._heard, self.fleet, now)
+        findings = self._standstill.problems(self._heard, unready, now)
         if findings:
-            self._samples.clear()
             return _not_ready(findings) if late else None
-        self._samples.append((now, measured))
-        if now - self._samples[0][0] < STANDING_TIME or self.team.undecided(now):
+        if not self._standstill.long_enough(now) or self.team.undecided(now):
             return None
         for vehicle in self._heard:
             vehicle.stop_unused_streams(self._heard_at, now)
@@ -326,43 +396,8 @@ class Preparation:
             if not early:
                 leave_offboard(vehicle)
 
-    def _uncorrected(self) -> list[Finding]:
-        """Return the vehicles whose receivers do not use the corrections yet."""
-        if self.tracking is None or self.fleet.frame != "gps":
-            return []
-        found = []
-        for vehicle in self._heard:
-            fix, error = FIXES.get(vehicle.fix_type, ("", 0.0))
-            if error > self.tracking:
-                words = f"system {vehicle.system}: {fix}, with errors of {error:g} m, though "
-                words += "corrections are sent: RTK fixed is needed"
-                found.append(Finding("error", "position", words))
-        return found
-
-    def _moved(self, measured: Floats) -> list[Finding]:
-        """Return the vehicles that report another place than at first, though they stand.
-
-        Their estimators have just found their places, as with the first poses of motion capture. An
-        estimator follows the first corrections over seconds: they are waited for.
-        """
-        if not self._samples:
-            return []
-        most = self.fleet.limits.placement
-        if self.tracking is not None and self.fleet.frame == "gps":
-            most = min(most, 0.5 * self.tracking)
-        away = np.linalg.norm(measured - self._samples[0][1], axis=1)
-        return [
-            Finding(
-                "error",
-                "position",
-                f"system {vehicle.system} reports a motion of {distance:.2f} m on the ground",
-            )
-            for vehicle, distance in zip(self._heard, away.tolist(), strict=True)
-            if distance > most
-        ]
-
     def _finish(self) -> Prepared | Outcome:
-        measured = np.mean([row for _, row in self._samples], axis=0)
+        measured = self._standstill.places
         try:
             prepared = prepared_team(self._heard, self.fleet, self.standing, measured)
         except Refused as error:

@@ -183,7 +183,8 @@ class Preflight:
             save_parameters(self.folder, audits)
         values = {vehicle.system: vehicle.parameters for vehicle in audits}
         flown = [(names[v.system], values[v.system]) for v in flyers if v.system in names]
-        loss, loss_findings = stream_loss_findings(plan, stream_loss_model(flown, fleet.limits))
+        model = stream_loss_model(flown, fleet.limits)
+        loss, loss_findings = stream_loss_findings(self.conductor.flight_plan, model)
         duration = plan.flight_duration + loss.delay
         battery = 100.0 * duration / plan.mission.vehicles.endurance
         found = [finding for vehicle in audits for finding in vehicle.findings(battery)]

@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import common
 
 from sitl.faults import Fault
 from swarm.errors import Refused
+from swarm.flight.fleet_listener import FleetListener
 from swarm.flight.preparation import STANDING_TIME, assigned, levelled, rough_frames
 from swarm.flight.setup import FlightOptions
 from swarm.mavlink.autopilots import PX4
@@ -66,6 +67,24 @@ def test_a_place_that_follows_the_first_corrections_is_waited_for():
     flight.run(lambda: flight.conductor.stage != "prepare")
     assert 2.3 < flight.now < 2.3 + STANDING_TIME + 1.0
     assert flight.conductor.stage == "execute"
+
+
+def test_a_check_waits_for_corrections_as_a_flight_does():
+    flight_plan, team, fixed, now = small_plan(), emulated_fleet(3), 6.0, 0.0
+    emulator = Network(flight_plan, team, no_cable=True).emulator
+    listener = FleetListener(team, flight_plan.plan.mission.vehicles.tracking)
+    while now < 3.0 or not listener.at_rest():
+        now += 0.05
+        for system, data in emulator.step(now):
+            listener.receive("loopback", system, data, now)
+        for outgoing in listener.tick(now):
+            emulator.receive(outgoing.address, outgoing.data, now)
+        if now < fixed:
+            listener.team.vehicles[2].fix_type = common.GPS_FIX_TYPE_RTK_FLOAT
+        if 3.0 < now < fixed:
+            (found,) = listener.waits_for()
+            assert found.message.startswith("system 2: RTK float, with errors of 0.4 m, though ")
+    assert fixed + STANDING_TIME <= now < fixed + STANDING_TIME + 2.0
 
 
 def fleet(*lines: str):

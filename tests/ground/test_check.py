@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import common
 from swarm.certification.findings import Finding, in_common
 from swarm.errors import InputError, Interrupted, VehicleError
 from swarm.flight.fleet_listener import LinkQuality, radio_finding, radio_findings
+from swarm.flight.parameters import stream_loss_model, stream_loss_of
 from swarm.flight.snapshot import Checked, Event, Snapshot
 from swarm.flight.stages import CheckStep
 from swarm.ground.commissioning.check import (
@@ -282,11 +283,20 @@ def test_progress_is_shown_on_a_terminal(tmp_path):
 
 
 def test_the_default_fleet_is_go_for_a_plan(tmp_path):
-    plan = small_plan()
-    options = CheckOptions(prepared=True)
+    plan, shown = small_plan(), []
+    options = CheckOptions(prepared=True, progress=lambda words, _: shown.append(words))
     report = check(emulated_fleet(3, ("px4", "ardupilot")), tmp_path, plan, options)
     assert report.passed, [f.message for f in report.findings if f.severity == "error"]
     assert report.parameters_set == ()
+    # for other vehicles than the plan's it takes minutes
+    assert shown[-1] == "computing what lost setpoints of these vehicles lead to"
+
+
+def test_what_lost_setpoints_lead_to_is_not_computed_again_for_the_vehicles_of_the_plan():
+    flight_plan, limits = small_plan(), emulated_fleet(3).limits
+    alike, other = (stream_loss_model(3 * [(kind, {})], limits) for kind in ("px4", "ardupilot"))
+    assert stream_loss_of(flight_plan, alike) is flight_plan.stream_loss
+    assert stream_loss_of(flight_plan, other).model == other
 
 
 def test_a_vehicle_whose_parameters_were_not_all_read_is_no_go(tmp_path):

@@ -495,7 +495,7 @@ def check(
         open_survey(fleet, folder, plan, options.rtcm, options.mocap, required) as survey,
         screens.opened(survey.listener, plan),
     ):
-        work = _Check(survey, folder, plan, options)
+        work = _Check(survey, folder, flight_plan, options)
         try:
             report = survey.run(work.run, screens.run).with_findings(*options.beforehand)
         except SwarmError as error:
@@ -518,7 +518,7 @@ class _Check:
 
     survey: Survey
     folder: Path
-    plan: Plan | None
+    flight_plan: CertifiedPlan | None
     options: CheckOptions
     bodies: tuple[Finding, ...] = ()
     found: list[Finding] = field(default_factory=list)
@@ -601,6 +601,11 @@ class _Check:
         self._found(self.bodies)
 
     @property
+    def plan(self) -> Plan | None:
+        """The plan that is to be flown, if any."""
+        return self.flight_plan.plan if self.flight_plan else None
+
+    @property
     def listener(self) -> FleetListener:
         """The fleet as it is received."""
         return self.survey.listener
@@ -656,15 +661,18 @@ class _Check:
         """Wait until the vehicles are ready; return findings, and the order along the cable.
 
         ``limits.ready`` counts from the start of each autopilot: one that has run for longer does
-        not become ready by waiting.
+        not become ready by waiting. Corrections begin with the check.
         """
-        listener = self.listener
+        listener, begun = self.listener, time.monotonic()
         self._progress("waiting until all are ready to arm", 0.0)
         ready = listener.fleet.limits.ready
-        self.survey.wait_until(lambda: not listener.not_ready(), _READY_TIMEOUT)
+        self.survey.wait_until(listener.at_rest, _READY_TIMEOUT)
         youngest = min((vehicle.boot_ms / 1000.0 for vehicle in listener.received), default=ready)
-        self.survey.wait_until(lambda: not listener.not_ready(), ready - youngest)
-        findings = [replace(finding, check="ready") for finding in listener.not_ready()]
+        self.survey.wait_until(listener.at_rest, ready - youngest)
+        if self.survey.corrections is not None and not listener.not_ready():
+            self._progress("waiting until all receivers use the corrections", 0.0)
+            self.survey.wait_until(listener.at_rest, ready - (time.monotonic() - begun))
+        findings = [replace(finding, check="ready") for finding in listener.waits_for()]
         if not findings:
             text = f"{len(listener.received)} vehicles are ready"
             findings.append(Finding("info", "ready", text))
@@ -720,11 +728,13 @@ class _Check:
         ]
         duration = plan.flight_duration if plan else 0.0
         loss_findings: list[Finding] = []
-        if plan is not None and order:
+        if self.flight_plan is not None and order:
             values = {audit.system: audit.parameters for audit in audits}
             names = {v.system: v.autopilot.name for v in self.listener.received if v.autopilot}
             flown = [(names[system], values[system]) for system in order if system in values]
-            loss, loss_findings = stream_loss_findings(plan, stream_loss_model(flown, fleet.limits))
+            self._progress("computing what lost setpoints of these vehicles lead to", 0.0)
+            model = stream_loss_model(flown, fleet.limits)
+            loss, loss_findings = stream_loss_findings(self.flight_plan, model)
             duration += loss.delay
         battery = 100.0 * duration / plan.mission.vehicles.endurance if plan else 0.0
         for audit in audits:

@@ -4,6 +4,7 @@ The loop keeps the links; the thread reaches the vehicles through the relay. One
 download of the autopilots' own logs through MAVSDK: the newest of every vehicle.
 """
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -127,7 +128,8 @@ def open_survey(
     """
     with ExitStack() as resources:
         links, borrowed = resources.enter_context(links_of(fleet, mocap))
-        listener = FleetListener(fleet)
+        tracking = plan.mission.vehicles.tracking if plan is not None else math.inf
+        listener = FleetListener(fleet, tracking if rtcm is not None else None)
         relay = Relay(listener.team)
         resources.callback(relay.close)
         try:
