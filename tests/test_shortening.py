@@ -166,9 +166,14 @@ def strand_point(start: Floats, end: Floats, length: float, piece: int) -> tuple
     return points[piece], np.array(by)
 
 
-def test_walls_are_as_far_as_the_sides_of_a_fence_that_has_a_corner_inwards() -> None:
-    walls = shortening._walls(WALLS, 0.0, 0.0)
+@pytest.mark.parametrize("order", [slice(None), slice(None, None, -1), [0, 0, 1, 2, 3, 4, 0]])
+def test_walls_are_as_far_as_the_sides_of_a_fence_that_has_a_corner_inwards(
+    order: slice | list[int],
+) -> None:
     fence = np.array(WALLS.workspace.fence)
+    corners = tuple(map(tuple, fence[order].tolist()))
+    workspace = WALLS.workspace.model_copy(update={"fence": corners})
+    walls = shortening._walls(WALLS.model_copy(update={"workspace": workspace}), 0.0, 0.0)
     rng = np.random.default_rng(1)
     inside = rng.uniform([-39, -5, 1], [39, 39, 2], size=(200, 3))
     inside = np.concatenate([inside, rng.uniform([-39, -38, 1], [-30, 39, 2], size=(200, 3))])
@@ -177,6 +182,7 @@ def test_walls_are_as_far_as_the_sides_of_a_fence_that_has_a_corner_inwards() ->
     share = ((inside[:, None, :2] - sides[:, 0]) * step).sum(axis=2) / (step**2).sum(axis=1)
     nearest = sides[:, 0] + np.clip(share, 0.0, 1.0)[..., None] * step
     expected = np.linalg.norm(inside[:, None, :2] - nearest, axis=2).min(axis=1)
+    assert len(walls.solids) == 1 + 5 + 3, "ceiling, sides, obstacles"
     found = distances(walls.solids[None, 1:6], inside[:, None]).min(axis=1)
     np.testing.assert_allclose(found, expected, atol=1e-9)
 

@@ -297,27 +297,26 @@ def _walls(mission: Mission, apart: float, beside: float) -> Walls:
     """
     vehicles, workspace = mission.vehicles, mission.workspace
     fence = np.reshape(workspace.fence or (), (-1, 2))
+    fence = fence[(np.roll(fence, -1, axis=0) != fence).any(axis=1)]  # no corner twice
     sides = np.roll(fence, -1, axis=0) - fence
-    if (fence[:, 0] * sides[:, 1] - fence[:, 1] * sides[:, 0]).sum() < 0.0:
-        fence = fence[::-1]
-        sides = np.roll(fence, -1, axis=0) - fence
+    area = 0.5 * float((fence[:, 0] * sides[:, 1] - fence[:, 1] * sides[:, 0]).sum())
     bounds = []
-    for (x, y), (east, north) in zip(fence, sides, strict=True):
+    for (x, y), (east, north) in zip(fence, math.copysign(1.0, area) * sides, strict=True):
         length = math.hypot(east, north)
         if ((fence[:, 1] - y) * east - (fence[:, 0] - x) * north >= -1e-9 * length).all():
             bounds.append(half_space((x, y, 0.0), (-north, east, 0.0)))
         else:
-            middle, turn = (x + 0.5 * east, y + 0.5 * north), math.atan2(north, east)
+            half = math.copysign(0.5, area)
+            middle, turn = (x + half * east, y + half * north), math.atan2(north, east)
             bounds.append(upright_box(middle, (length, 0.0), turn, -math.inf, math.inf))
     above = half_space((0.0, 0.0, workspace.ceiling - vehicles.grip_offset), (0.0, 0.0, -1.0))
-    others, sideways = obstacles_of(mission), rows(bounds)
-    grown_ = grown(others, vehicles.radius, vehicles.grip_offset)
-    every = np.concatenate([rows([above]), sideways, others])
-    around, none = len(sideways), mission.clearance.obstacle * np.ones(len(others))
+    around, obstacles = rows([above, *bounds]), obstacles_of(mission)
+    upright = grown(obstacles, vehicles.radius, vehicles.grip_offset)
+    count, required = len(bounds), np.full(len(obstacles), mission.clearance.obstacle)
     return Walls(
-        np.concatenate([rows([above]), sideways, grown_]), every,
-        apart + np.concatenate([[0.0], np.full(around, vehicles.radius), none]),
-        beside + np.concatenate([[-math.inf], np.zeros(around), none]),
+        np.concatenate([around, upright]), np.concatenate([around, obstacles]),
+        apart + np.concatenate([[0.0], np.full(count, vehicles.radius), required]),
+        beside + np.concatenate([[-math.inf], np.zeros(count), required]),
     )  # fmt: skip
 
 
@@ -474,12 +473,12 @@ def _wanted(short: Shortening, plan: Plan, needs: Needs, before: Wanted) -> Want
     vehicles = {vehicle_name(k): k for k in range(plan.vehicles)}
     for moment in (*violations(plan), *violations_in_wind(plan, plan.mission.wind.steady)):
         first, second = moment.between
-        rows = np.abs(at - moment.time) <= _AROUND
+        around = np.abs(at - moment.time) <= _AROUND
         for least, need, names in (
             (strands, needs.strands, segments), (bodies, needs.bodies, vehicles)
         ):  # fmt: skip
             if first in names and second in segments:
-                here = rows, names[first], segments[second]
+                here = around, names[first], segments[second]
                 least[here] = np.maximum(least[here], need[here] - moment.margin + _ROOM)
     return Wanted(np.minimum(strands, short.caps), bodies)
 
