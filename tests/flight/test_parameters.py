@@ -172,15 +172,17 @@ def test_how_vehicles_coast_is_read_from_their_parameters():
 
 
 def test_a_team_of_which_some_would_land_and_others_hold_is_refused():
-    plan = small_plan().plan
+    flight_plan = small_plan()
+    plan = flight_plan.plan
     lands = ("px4", {"COM_OF_LOSS_T": 0.5, "COM_OBL_RC_ACT": 4.0})
     holds = ("ardupilot", {"GUID_TIMEOUT": 0.5})
-    _, findings = stream_loss_findings(plan, stream_loss_model([lands, holds, lands], FLEET.limits))
+    model = stream_loss_model([lands, holds, lands], FLEET.limits)
+    _, findings = stream_loss_findings(flight_plan, model)
     (error,) = [finding for finding in findings if finding.severity == "error"]
     assert "vehicle 1, vehicle 3 would land at once and the others would hold" in error.message
     late = ("px4", {"COM_OF_LOSS_T": 2.0, "COM_OBL_RC_ACT": 4.0})
     model = stream_loss_model([late, late, late], FLEET.limits)
-    certificate, findings = stream_loss_findings(plan, model)
+    certificate, findings = stream_loss_findings(flight_plan, model)
     assert not [finding for finding in findings if finding.severity == "error"]
     # and how long the flight takes at the pace that this allows
     (long,) = [finding.message for finding in findings if finding.check == "endurance"]
@@ -192,7 +194,7 @@ def test_a_team_of_which_some_would_land_and_others_hold_is_refused():
 def test_the_flight_keeps_the_pace_that_the_audited_vehicles_allow():
     flight_plan = small_plan()
     known, _ = stream_loss_findings(
-        flight_plan.plan, StreamLossModel((0.1, 0.5, 0.5), FLEET.limits.silence)
+        flight_plan, StreamLossModel((0.1, 0.5, 0.5), FLEET.limits.silence)
     )
     conductor = Conductor(flight_plan, FLEET)
     assert conductor.state.stream_loss.model == StreamLossModel(silence=FLEET.limits.silence)
