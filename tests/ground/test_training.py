@@ -21,7 +21,7 @@ HOVER = str(ROOT / "missions" / "first-steps" / "hover.yaml")
 SCENARIO = """\
 schema: 1
 faults:
-  - {at: 100.0, kind: link, vehicle: 1, loss: 1.0, duration: 0.9}
+  - {at: 62.0, kind: link, vehicle: 1, loss: 1.0, duration: 0.9}
 spread: {failing: 0.0}
 """
 
@@ -31,7 +31,7 @@ def test_a_training_flight_from_command_to_report(tmp_path):
     path, folder = tmp_path / "lost.yaml", tmp_path / "flight"
     path.write_text(SCENARIO)
     said = run(
-        "fly", HOVER, "--scenario", str(path), "--speed", "15", "--record", str(folder), "--json"
+        "fly", HOVER, "--scenario", str(path), "--speed", "8", "--record", str(folder), "--json"
     )
     assert said.returncode == 0, said
     training = json.loads(said.stdout)["training"]
