@@ -101,8 +101,10 @@ _SOFTEST, _HARDER, _AS_EXCEEDED, _NEARLY_KEPT = 12.0, 0.6, 0.3, 30.0
 share of what limits are exceeded by, which is at most the last one where the weight grows. Steps
 from where a stiff parabola counts are far too short, or far too long."""
 
-_MOST_STEPS, _CONVERGED = 80, 2.0
-"""Largest number of steps of a round, and the decrement that ends it."""
+_MOST_STEPS, _CONVERGED, _STILL = 80, 2.0, 0.2
+"""Largest number of steps of a round, the decrement that ends it, and that of a whole step after
+which a motion that misses a limit stays as it is: a tenth, because while barriers follow what the
+lumped masses stray, steps save little for a while, and more again."""
 
 _HALVINGS, _DAMPINGS = 9, 6
 """Largest numbers of shorter and of more damped steps that are tried."""
@@ -386,7 +388,8 @@ def _centred(
         enough = step.share > (_BRIEF if near else _WHOLE) and step.decrement < _FAR_FROM_CENTRE
         if enough and exceeded < _NEARLY_KEPT:
             weight = min(weight * (_GROWTH + _FASTER * step.share), _LAST_WEIGHT)
-        if converged and soft > 1.0 and soft >= before[0] and weight == before[1]:
+        still = step.share == 1.0 and step.decrement < _STILL
+        if still and soft > 1.0 and soft >= before[0] and weight == before[1]:
             return None
     return fold, frozen
 
