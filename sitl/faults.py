@@ -478,7 +478,7 @@ def _handled(world: "Injector", v: Vehicle, fault: "Fault", on: bool) -> None:
             fault, world.now, v.bodies.position[v.index].copy(), float(v.bodies.yaw[v.index])
         )
     elif not on and (hands := world.hands.pop(v.index, None)) is not None:
-        hands.place(v.bodies, v.index, hands.began + (fault.duration or STEP))
+        hands.place(v.bodies, v.index, hands.end)
 
 
 SIM_PARAMETERS: dict[str, float | int] = {
@@ -776,6 +776,11 @@ class Hands:
     position: Array
     yaw: float
 
+    @property
+    def end(self) -> float:
+        """When the vehicle stands again, seconds."""
+        return self.began + (self.fault.duration or STEP)
+
     def pose(self, time: float) -> tuple[Array, Array]:
         """Return position (3,) and attitude of the vehicle at a time, seconds.
 
@@ -787,7 +792,7 @@ class Hands:
     def _angles(self, time: float) -> tuple[Array, float, float, float]:
         """Return the position (3,), yaw, lean to the right and lean backwards at a time."""
         fault = self.fault
-        share = (time - self.began) / (fault.duration or STEP)
+        share = (time - self.began) / (self.end - self.began)
         right = fault.lean * _bump(share, 0.1, 0.4)
         back = fault.lean * _bump(share, 0.35, 0.65)
         yaw = self.yaw + fault.turn * _bump(share, 0.6, 0.9)
@@ -814,7 +819,7 @@ class Hands:
             _HELD * up,
         )
         b.thrust_rate[i] = 0.0
-        if time >= self.began + (self.fault.duration or STEP):
+        if time >= self.end:
             b.thrust[i] = 0.0
 
 

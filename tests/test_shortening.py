@@ -182,8 +182,8 @@ def test_walls_are_as_far_as_the_sides_of_a_fence_that_has_a_corner_inwards(
     share = ((inside[:, None, :2] - sides[:, 0]) * step).sum(axis=2) / (step**2).sum(axis=1)
     nearest = sides[:, 0] + np.clip(share, 0.0, 1.0)[..., None] * step
     expected = np.linalg.norm(inside[:, None, :2] - nearest, axis=2).min(axis=1)
-    assert len(walls.solids) == 1 + 5 + 3, "ceiling, sides, obstacles"
-    found = distances(walls.solids[None, 1:6], inside[:, None]).min(axis=1)
+    assert (len(walls.grown), len(walls.solids)) == (1 + 5 + 3, 5 + 3), "ceiling, sides, obstacles"
+    found = distances(walls.solids[None, :5], inside[:, None]).min(axis=1)
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 

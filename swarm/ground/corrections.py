@@ -32,9 +32,11 @@ _PACE = 0.02
 of epochs of ten fragments that were sent at once it passed on the last eight. An epoch of twenty,
 those of all constellations, takes 0.4 s: receivers use corrections that are older by seconds."""
 _CATCH_UP = 3
-"""Fragments that follow at once where the last call was too long ago for the pace."""
-_MOST_WAITING = 50
-"""Fragments that wait at most, a second: those beyond follow at once."""
+"""Fragments that follow at once where the last call was too long ago for the pace: fewer than half
+of what PX4 keeps."""
+_MOST_WAITING = round(1.0 / _PACE)
+"""Fragments that wait at most, for a second, when a base sends the next ones: those beyond follow
+at once."""
 _EXPECTED = (
     "expected ntrip://[USER:PASSWORD@]HOST[:PORT]/MOUNTPOINT (ntrips: with TLS), "
     "serial://DEVICE[:BAUD], udp://HOST:PORT or file:PATH"

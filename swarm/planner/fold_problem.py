@@ -394,8 +394,7 @@ class Problem:
         swung, swings = self._swing(velocity, acceleration, fold.duration, frozen, slopes)
         sunk, sinking = self._sinking(place, fold.duration, frozen.soft, slopes)
         smooth = self._smoothness(control.reshape(self.count, -1), fold.duration, slopes)
-        ahead, outside = self._before_fold(fold.pose, frozen.soft, slopes)
-        found.missed[0] = max(found.missed[0], outside)
+        ahead = self._before_fold(fold.pose, frozen, found, slopes)
         cost = float(distances + motion + swung + sunk + smooth + ahead)
         return Evaluation(
             cost=cost,
@@ -424,16 +423,20 @@ class Problem:
         return places, by_pose
 
     def _before_fold(
-        self, pose: Floats, soft: float, slopes: Slopes | None
-    ) -> tuple[float, float]:  # fmt: skip
-        """Return the cost of vehicles and walls before the fold, and the largest missed need."""
+        self, pose: Floats, frozen: Frozen, found: Found, slopes: Slopes | None
+    ) -> float:
+        """Return the cost of vehicles and walls before the fold, and note the largest missed need
+        at its first moment; add the derivatives."""
         places, by_pose = self.way_to_line(pose)
-        gradient, matrix = np.zeros(4), np.zeros((4, 4))
-        cost, missed = add_walls(places, self.team.walls, by_pose, soft * RELAXED, gradient, matrix)
+        r = len(places)
+        rows, every = np.zeros(r, dtype=np.intp), np.full(r, -1)
+        poses = Poses(places[:, None], rows, every, RANGE, 1.0, frozen.soft * RELAXED)
+        by = Derivatives(np.zeros((r, 3)), np.zeros((r, 3, 3)), np.empty((4, 3)))
+        cost = add_walls(poses, self.team, frozen.needs, found, by, slopes is not None)
         if slopes is not None:
-            slopes.pose += gradient
-            slopes.by_pose += matrix
-        return cost, missed
+            slopes.pose += np.einsum("rx,rxa->a", by.gradient, by_pose)
+            slopes.by_pose += np.einsum("rxa,rxy,ryb->ab", by_pose, by.matrix, by_pose)
+        return cost
 
     def _distances(
         self, control: Floats, place: Floats, velocity: Floats, duration: float, frozen: Frozen,

@@ -312,14 +312,15 @@ def _walls(mission: Mission, apart: float, beside: float) -> Walls:
             middle, turn = (x + half * east, y + half * north), math.atan2(north, east)
             bounds.append(upright_box(middle, (length, 0.0), turn, -math.inf, math.inf))
     above = half_space((0.0, 0.0, workspace.ceiling - vehicles.grip_offset), (0.0, 0.0, -1.0))
-    around, obstacles = rows([above, *bounds]), obstacles_of(mission)
+    obstacles, count = obstacles_of(mission), len(bounds)
     upright = grown(obstacles, vehicles.radius, vehicles.grip_offset)
-    count, required = len(bounds), np.full(len(obstacles), mission.clearance.obstacle)
+    required = np.full(len(obstacles), mission.clearance.obstacle)
     return Walls(
-        np.concatenate([around, upright]), np.concatenate([around, obstacles]),
+        np.concatenate([rows([above, *bounds]), upright]),
+        np.concatenate([rows(bounds), obstacles]),
         apart + np.concatenate([[0.0], np.full(count, vehicles.radius), required]),
-        beside + np.concatenate([[-math.inf], np.zeros(count), required]),
-    )  # fmt: skip
+        beside + np.concatenate([np.zeros(count), required]),
+    )
 
 
 def _needs(team: Team, room: Floats) -> Needs:

@@ -41,10 +41,10 @@ _FLAT = 1e-9
 
 
 class Walls(NamedTuple):
-    """What bounds the workspace, or stands in it: solids, each for vehicles and for strands.
+    """What bounds the workspace, or stands in it: solids for vehicles, and solids for strands.
 
     Grip points keep ``inside`` (q,) metres from the ``grown`` solids (q, 12), and the middles of
-    strands ``beside`` (q,) metres from ``solids`` (q, 12), −∞ from those that only bound vehicles.
+    strands ``beside`` (r,) metres from ``solids`` (r, 12).
     """
 
     grown: Floats2
@@ -637,35 +637,15 @@ def _within_walls(
 
 @compiled
 def add_walls(
-    places: Floats2, walls: Walls, by_pose: Floats3, relaxed: float, gradient: Floats1,
-    matrix: Floats2,
-) -> tuple[float, float]:  # fmt: skip
-    """Return the cost of vehicles at places (r, 3) and all walls, and the largest missed need.
-
-    Add the gradient (4,) and the Gauss-Newton matrix (4, 4) by a pose, of which the places have the
-    derivatives ``by_pose`` (r, 3, 4).
-    """
-    cost, missed = 0.0, 0.0
-    for r in range(len(places)):
-        for q in range(len(walls.grown)):
-            point = (places[r, 0], places[r, 1], places[r, 2])
-            normal, distance = plane_beside(walls.grown[q], point)
-            slack = distance - walls.inside[q]
-            value, slope, curvature = barrier(slack, RANGE, relaxed)
-            if value == 0.0:
-                continue
-            cost, missed = cost + value, max(missed, -slack)
-            for a in range(4):
-                first = 0.0
-                for x in range(3):
-                    first += normal[x] * by_pose[r, x, a]
-                gradient[a] += slope * first
-                for b in range(4):
-                    second = 0.0
-                    for x in range(3):
-                        second += normal[x] * by_pose[r, x, b]
-                    matrix[a, b] += curvature * first * second
-    return cost, missed
+    poses: Poses, team: Team, needs: Needs, found: Found, derivatives: Derivatives, derive: bool
+) -> float:
+    """Return the cost of the vehicles of poses and all walls alone, as :func:`add_clearances`."""
+    cost = 0.0
+    for s in range(len(poses.places)):
+        at = _At(s, poses.rows[s], poses.range, poses.weight, poses.relaxed, derive)
+        for i in range(poses.places.shape[1]):
+            cost += _within_walls(at, i, poses.places[s], team, needs, found, derivatives)
+    return poses.weight * cost
 
 
 @inner
