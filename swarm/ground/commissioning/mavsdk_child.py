@@ -5,6 +5,7 @@ thread uses it, one vehicle after the other, and sends the results over the pipe
 the first argument. :mod:`swarm.ground.commissioning.mavsdk_client` is the other side.
 """
 
+import math
 import os
 import queue
 import sys
@@ -32,6 +33,19 @@ DISCOVERY_TIMEOUT = 10.0
 """Seconds within which every vehicle must be discovered."""
 HEALTH_TIMEOUT = 5.0
 """Seconds within which a healthy vehicle is expected to report that it is healthy."""
+_HEALTH_PERIOD = 1.0
+"""Seconds within which a subsystem was healthy at least once: without GPS, each SYS_STATUS of an
+ArduPilot makes MAVSDK's local position unhealthy until the next LOCAL_POSITION_NED."""
+_HEALTH = {
+    "gyroscope": "is_gyrometer_calibration_ok",
+    "accelerometer": "is_accelerometer_calibration_ok",
+    "magnetometer": "is_magnetometer_calibration_ok",
+    "local position": "is_local_position_ok",
+    "global position": "is_global_position_ok",
+    "home position": "is_home_position_ok",
+    "armable": "is_armable",
+}
+"""The subsystems, with their names in MAVSDK's health."""
 _POLL = 0.05
 _UNKNOWN_DATE = "1970"
 
@@ -74,20 +88,26 @@ def report(ports: Mapping[int, int], source: tuple[int, int], send: Send) -> Non
     """Send ``("vehicle", system, fields)`` with firmware, health, battery, arming problems."""
     with discovered(ports, source) as systems:
         telemetries = {system: Telemetry(handle) for system, handle in systems.items()}
-        _wait(lambda: all(one.health_all_ok() for one in telemetries.values()), HEALTH_TIMEOUT)
+        healthy_at: dict[tuple[int, str], float] = {}
+
+        def all_healthy() -> bool:
+            now = time.monotonic()
+            for system, telemetry in telemetries.items():
+                health = telemetry.health()
+                for subsystem, name in _HEALTH.items():
+                    if getattr(health, name):
+                        healthy_at[system, subsystem] = now
+            return all(telemetry.health_all_ok() for telemetry in telemetries.values())
+
+        _wait(all_healthy, HEALTH_TIMEOUT)
+        recent = time.monotonic() - _HEALTH_PERIOD
         for system, handle in systems.items():
             telemetry = telemetries[system]
-            health = telemetry.health()
             fields = {
                 "firmware": _firmware(handle),
                 "health": {
-                    "gyroscope": health.is_gyrometer_calibration_ok,
-                    "accelerometer": health.is_accelerometer_calibration_ok,
-                    "magnetometer": health.is_magnetometer_calibration_ok,
-                    "local position": health.is_local_position_ok,
-                    "global position": health.is_global_position_ok,
-                    "home position": health.is_home_position_ok,
-                    "armable": health.is_armable,
+                    subsystem: healthy_at.get((system, subsystem), -math.inf) >= recent
+                    for subsystem in _HEALTH
                 },
                 "battery": float(telemetry.battery().remaining_percent),
                 "satellites": int(telemetry.gps_info().num_satellites),
