@@ -211,11 +211,17 @@ class PlanChecks:
         """
         return self._limits_ahead.times, self._limits_ahead.rates
 
-    def stream_loss(self, model: StreamLossModel = _DEFAULT) -> StreamLossCertificate:
+    def stream_loss(
+        self,
+        model: StreamLossModel = _DEFAULT,
+        progress: Callable[[float], None] = lambda _: None,
+    ) -> StreamLossCertificate:
         """Return :func:`.certify_stream_loss` of these vehicles."""
         if model not in self._certificates:
             ahead = self._limits_ahead if model == _DEFAULT else None
-            self._certificates[model] = certify_stream_loss(self.plan, model, ahead)
+            self._certificates[model] = certify_stream_loss(
+                self.plan, model, ahead, progress=progress
+            )
         return self._certificates[model]
 
 

@@ -19,7 +19,7 @@ without setpoints (in seconds at their velocity then), and the advance of the ot
 accelerations and of the sensitivity of strands extend them to the whole box.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
@@ -705,14 +705,19 @@ class StreamLossCertificate:
 
 
 def certify_stream_loss(
-    plan: Plan, model: StreamLossModel = StreamLossModel(), ahead: "RateLimits | None" = None
+    plan: Plan,
+    model: StreamLossModel = StreamLossModel(),
+    ahead: "RateLimits | None" = None,
+    *,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> StreamLossCertificate:
     """Return the certificate of stream losses, of all or of single vehicles, during the fold.
 
-    ``ahead`` are its :func:`limits_ahead`, if already computed.
+    ``ahead`` are its :func:`limits_ahead`, if already computed. ``progress`` is called with the
+    share of the fold's times, in both directions of the clock, for which the rate is known.
     """
     name, fold = digest(plan), _fold(plan)
-    ahead = ahead or limits_ahead(plan, model)
+    ahead = ahead or limits_ahead(plan, model, lambda share: progress(0.5 * share))
     times = ahead.times
     if fold is None:
         return StreamLossCertificate(
@@ -727,8 +732,9 @@ def certify_stream_loss(
     # mission time t is ``turned`` − t of the reversed motion
     turned = float(plan.motion.times[0] + plan.motion.times[-1])
     back = _limits_of(
-        replace(plan, motion=reverse(plan.motion)), model, turned - times[::-1], turned - start
-    )
+        replace(plan, motion=reverse(plan.motion)), model, turned - times[::-1], turned - start,
+        lambda share: progress(0.5 + 0.5 * share),
+    )  # fmt: skip
     worst = replace(back.worst, time=turned - back.worst.time)
     return StreamLossCertificate(
         times, ahead.rates, back.rates[::-1], min(ahead.worst, worst, key=lambda one: one.margin),
@@ -763,37 +769,47 @@ class RateLimits(NamedTuple):
     infeasible: Flags
 
 
-def limits_ahead(plan: Plan, model: StreamLossModel) -> RateLimits:
+def limits_ahead(
+    plan: Plan, model: StreamLossModel, progress: Callable[[float], None] = lambda _: None
+) -> RateLimits:
     """Return the limits of a clock that runs on, in the fold of a plan; none without a fold."""
     fold = _fold(plan)
     if fold is None:
         none = np.empty(0)
         return RateLimits(none, none, WorstLoss(np.inf, 0.0, 0), np.empty(0, dtype=np.bool_))
     start, end, _ = fold
-    return _limits_of(plan, model, np.append(np.arange(start, end, STEP), end), end)
+    return _limits_of(plan, model, np.append(np.arange(start, end, STEP), end), end, progress)
 
 
-def _limits_of(plan: Plan, model: StreamLossModel, times: Floats, end: float) -> RateLimits:
+def _limits_of(
+    plan: Plan, model: StreamLossModel, times: Floats, end: float,
+    progress: Callable[[float], None],
+) -> RateLimits:  # fmt: skip
     """Return the limits of a clock that runs on along a plan's motion, no farther than ``end``."""
     overrun = model.overrun(plan, (float(times[0]), end))
     accepted = _Accepted(_FOUND, exact=True)
     rates, margins, vehicles = _sampled_rates(plan, overrun, (times, end), RATES, accepted)
     lost = np.isnan(rates)
     rates[lost] = RATES[-1]
-    unshown = _lower(StreamLossBound(plan, overrun, end), times, rates, lost)
+    unshown = _lower(StreamLossBound(plan, overrun, end), times, rates, lost, progress)
     tightest = int(np.argmin(margins))
     worst = WorstLoss(float(margins[tightest]), float(times[tightest]), int(vehicles[tightest]))
     return RateLimits(times, _reachable(overrun.limits, times, rates), worst, lost | unshown)
 
 
-def _lower(bound: StreamLossBound, times: Floats, rates: Floats, lost: Flags) -> Flags:
+def _lower(
+    bound: StreamLossBound, times: Floats, rates: Floats, lost: Flags,
+    progress: Callable[[float], None],
+) -> Flags:  # fmt: skip
     """Lower rates (k,) in place until they are certified; return after which times none is.
 
     Between two times the clock runs at the lower of their rates.
     """
     unshown = np.zeros(len(times), dtype=np.bool_)
     open_ = np.flatnonzero(~(lost[:-1] | lost[1:]))
+    count = len(open_)
     while len(open_):
+        progress(1.0 - len(open_) / count)
         fastest = np.minimum(rates[open_], rates[open_ + 1])
         holds = bound.holds(times[open_], times[open_ + 1], fastest)
         open_, fastest = open_[~holds], fastest[~holds]
@@ -802,6 +818,7 @@ def _lower(bound: StreamLossBound, times: Floats, rates: Floats, lost: Flags) ->
         open_, fastest = open_[~slowest], fastest[~slowest]
         for k, rate in zip(open_, fastest, strict=True):
             rates[k] = min(rates[k], max(slower for slower in RATES if slower < rate))
+    progress(1.0)
     return unshown
 
 

@@ -274,6 +274,10 @@ class Conductor:
         flight.change_stage(Trigger.CLEARED)
         flight.report("flight", f"cleared for flight: {self.basis.words}")
 
+    def ground_check(self, words: str) -> None:
+        """Show what the ground check does now; "": nothing that takes long."""
+        self.state.ground_check = words
+
     def ask_for_go(self) -> None:
         """Let screens give the go before arming, or refuse it."""
         self.state.go_asked = self.now

@@ -356,22 +356,29 @@ def stream_loss_model(
     return StreamLossModel(timeout, limits.silence, descent, returns).shortest
 
 
-def stream_loss_of(flight_plan: FlightPlan, model: StreamLossModel) -> StreamLossCertificate:
+def stream_loss_of(
+    flight_plan: FlightPlan,
+    model: StreamLossModel,
+    progress: Callable[[float], None] = lambda _: None,
+) -> StreamLossCertificate:
     """Return the certificate of a plan for lost setpoints of these vehicles.
 
-    It is the plan's own where that was computed for such vehicles; for others it takes minutes.
+    It is the plan's own where that was computed for such vehicles; for others it may take minutes,
+    and ``progress`` is called with the completed share.
     """
     certified = flight_plan.stream_loss
     if certified is not None and certified.holds_for(flight_plan.plan, model):
         return certified
-    return PlanChecks.of(flight_plan.plan).stream_loss(model)
+    return PlanChecks.of(flight_plan.plan).stream_loss(model, progress)
 
 
 def stream_loss_findings(
-    flight_plan: FlightPlan, model: StreamLossModel
+    flight_plan: FlightPlan,
+    model: StreamLossModel,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> tuple[StreamLossCertificate, list[Finding]]:
-    """Return the certificate of a plan for lost setpoints of these vehicles, with findings."""
-    certificate, plan = stream_loss_of(flight_plan, model), flight_plan.plan
+    """Return :func:`stream_loss_of` these vehicles, with findings."""
+    certificate, plan = stream_loss_of(flight_plan, model, progress), flight_plan.plan
     findings = certificate.findings()
     if certificate.delay:
         findings.extend(endurance_findings(plan, certificate.delay))

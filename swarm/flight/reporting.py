@@ -45,7 +45,8 @@ def waiting_for(flight: FlightState) -> str | None:
     if flight.stage is Stage.PREPARE:
         return _preparation(flight)
     if flight.stage is Stage.READY:
-        return "the ground check and the go"
+        step = f" ({flight.ground_check})" if flight.ground_check else ""
+        return f"the ground check{step} and the go"
     if flight.contingency is not None and flight.stage is Stage.CONTINGENCY:
         return STEP_WORDS[flight.contingency.step]
     gate = flight.gate

@@ -274,7 +274,7 @@ class FlightState:
 
     ``monitored`` is the live monitor's latest sample (None: there is nothing to monitor),
     ``next_monitoring`` the time of the next. ``go_asked``: since when a screen may give the
-    go, ``go_given`` when it has.
+    go, ``go_given`` when it has; ``ground_check`` is what the check before it does, in words.
     """
 
     setup: Setup
@@ -300,6 +300,7 @@ class FlightState:
     ending: Ending = field(default_factory=Ending)
     resumption: Resumption = field(default_factory=Resumption)
     go_asked: float | None = None
+    ground_check: str = ""
     go_given: float | None = None
     _phase: tuple[float, Phase] | None = None
 

@@ -41,7 +41,12 @@ from swarm.flight.tlog import ClockEncoder, LeftOff, Then
 from swarm.flight.trace import Trace
 from swarm.flight.training import Training, require_emulated
 from swarm.flight.world import emulated_world
-from swarm.ground.commissioning.check import Auditor, save_parameters, wanted_fence
+from swarm.ground.commissioning.check import (
+    LOST_SETPOINTS,
+    Auditor,
+    save_parameters,
+    wanted_fence,
+)
 from swarm.ground.corrections import open_corrections
 from swarm.ground.emulator import EmulatorProcess, RealFirmware
 from swarm.ground.loop import Feed, Loop
@@ -128,7 +133,7 @@ class Preflight:
     is enough. Parameters are saved in ``folder``. ``poses`` are what vehicles get from motion
     capture, where that is known. Where ``screens_answer``, screens of the flight may answer in the
     place of ``confirm``. ``audited`` has all findings before the question; ``abandoned``: only
-    screens can answer it any more.
+    screens can answer it any more. ``doing`` is what takes time now, in words.
     """
 
     conductor: Conductor
@@ -139,6 +144,7 @@ class Preflight:
     started: bool = False
     audited: Audit | None = None
     abandoned: bool = False
+    doing: str = ""
     poses: MocapBridge | Borrowed | None = None
     _decision: "queue.SimpleQueue[Audit | str]" = field(default_factory=queue.SimpleQueue)
 
@@ -160,7 +166,7 @@ class Preflight:
         try:
             if self.relay is not None:
                 audit = self._audit_vehicles(audit, self.relay)
-            self.audited = audit
+            self.audited, self.doing = audit, ""
             confirmed = not audit.passed or self.confirm is None or self.confirm(audit)
             if confirmed is None and self.screens_answer:
                 self.abandoned = True
@@ -172,19 +178,24 @@ class Preflight:
             self._decision.put("the question before the flight failed")
             raise
 
+    def _progress(self, words: str, share: float) -> None:
+        self.doing = f"{words}, {share:.0%}" if words == LOST_SETPOINTS else words
+
     def _audit_vehicles(self, audit: Audit, relay: Relay) -> Audit:
         """Return the audit with the findings on firmware, health, battery and parameters."""
         flyers = self.conductor.flyers
         names = {v.system: v.autopilot.name for v in flyers if v.autopilot is not None}
         plan, fleet = self.conductor.plan, self.conductor.fleet
         required, gps = plan_requirements(plan, fleet), fleet.frame == "gps"
-        audits = Auditor(relay, names, required, on_earth=gps).audit()
+        audits = Auditor(relay, names, required, self._progress, on_earth=gps).audit()
         with suppress(OSError):
             save_parameters(self.folder, audits)
         values = {vehicle.system: vehicle.parameters for vehicle in audits}
         flown = [(names[v.system], values[v.system]) for v in flyers if v.system in names]
         model = stream_loss_model(flown, fleet.limits)
-        loss, loss_findings = stream_loss_findings(self.conductor.flight_plan, model)
+        loss, loss_findings = stream_loss_findings(
+            self.conductor.flight_plan, model, partial(self._progress, LOST_SETPOINTS)
+        )
         duration = plan.flight_duration + loss.delay
         battery = 100.0 * duration / plan.mission.vehicles.endurance
         found = [finding for vehicle in audits for finding in vehicle.findings(battery)]
@@ -350,6 +361,7 @@ class TickTasks:
         preflight, conductor = self.preflight, self.conductor
         if not preflight.started:
             preflight.start(audit)
+        conductor.ground_check(preflight.doing)
         if preflight.audited is not None and not self._checked:
             self._checked = True
             self._ask(preflight.audited)

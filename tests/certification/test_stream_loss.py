@@ -58,7 +58,11 @@ def test_one_vehicle_that_stops_while_the_others_advance_limits_the_rate():
 def test_a_chord_allows_exactly_the_lead_of_the_geometry():
     plan = sideways(1.0, time=40.0)
     model = StreamLossModel((0.5,), silence=2.0)
-    found = certify_stream_loss(plan, model)
+    shares = []
+    found = certify_stream_loss(plan, model, progress=shares.append)
+    # a fold without a way back: one direction is half of both
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 0.5)
     middle = int(np.argmin(np.abs(found.times - 20.0)))
     speed = np.linalg.norm(plan.motion.at(20.0)[1][0])
     rate = found.rates[middle]

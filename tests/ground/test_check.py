@@ -26,7 +26,7 @@ from swarm.ground.commissioning.check import (
     save_parameters,
 )
 from swarm.ground.commissioning.screens import CheckScreens
-from swarm.ground.fly import FlyOptions, fly
+from swarm.ground.fly import FlightCallbacks, FlyOptions, fly
 from swarm.ground.operator import read_screen_line
 from swarm.ground.sockets import Links
 from swarm.mavlink.fence import polygon
@@ -180,7 +180,16 @@ def test_a_console_of_a_check_has_no_hop():
 
 
 def test_a_flight_with_autopilot_defaults_is_refused_by_the_audit(tmp_path):
-    result = fly(small_plan(), emulated_fleet(3), tmp_path / "record", FlyOptions(audit=True))
+    snapshots = []
+    result = fly(
+        small_plan(),
+        emulated_fleet(3),
+        tmp_path / "record",
+        FlyOptions(audit=True),
+        FlightCallbacks(on_snapshot=snapshots.append),
+    )
+    waits = {snapshot.waiting_for for snapshot in snapshots}
+    assert "the ground check (health and firmware) and the go" in waits
     assert result.outcome.word == "refused"
     assert "NAV_RCL_ACT is 2, should be 1 (hold) or 3 (land)" in result.outcome.explanation
     assert "armed" not in {event.kind for event in result.events}

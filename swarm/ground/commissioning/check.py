@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -327,6 +328,7 @@ def save_parameters(folder: Path, audits: Sequence[VehicleAudit]) -> None:
         (fences / f"{audit.system}.json").write_text(text, encoding="utf-8")
 
 
+LOST_SETPOINTS = "computing what lost setpoints of these vehicles lead to"
 _STREAM_START = 2.5
 """Seconds after the first heartbeats until messages arrive at the requested rates."""
 _READY_TIMEOUT = 5.0
@@ -732,9 +734,10 @@ class _Check:
             values = {audit.system: audit.parameters for audit in audits}
             names = {v.system: v.autopilot.name for v in self.listener.received if v.autopilot}
             flown = [(names[system], values[system]) for system in order if system in values]
-            self._progress("computing what lost setpoints of these vehicles lead to", 0.0)
             model = stream_loss_model(flown, fleet.limits)
-            loss, loss_findings = stream_loss_findings(self.flight_plan, model)
+            loss, loss_findings = stream_loss_findings(
+                self.flight_plan, model, partial(self._progress, LOST_SETPOINTS)
+            )
             duration += loss.delay
         battery = 100.0 * duration / plan.mission.vehicles.endurance if plan else 0.0
         for audit in audits:
