@@ -498,7 +498,8 @@ def write_margins(
     found, enough = limits
     for k in range(len(margins)):
         margins[k], vehicles[k] = enough, 0
-        for after in range(len(losses.moved)):
+        # the last moment first: vehicles are farthest from the plan, so others are cut short
+        for after in range(len(losses.moved) - 1, -1, -1):
             for who in range(-2 if losses.tracking < 0.0 else -1, losses.position.shape[1]):
                 if margins[k] < found:
                     break
