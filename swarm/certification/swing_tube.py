@@ -401,10 +401,10 @@ class Swings:
         """Return bounds for the pairs that tracking errors bring nearer than NEAR, after these.
 
         No other strands are simulated, which takes a tenth of the time of the whole tube. Where
-        budgets are short in it, they are short. With ``ordinary``, after ordinary stops and their
-        resumes, too.
+        budgets are short in it, they are short. With ``ordinary``, after the first of the ordinary
+        stops and resumes, too.
         """
-        courses = (*ORDINARY_COURSES, *_URGENT_STOPS) if ordinary else _URGENT_STOPS
+        courses = (*ORDINARY_COURSES[:1], *_URGENT_STOPS) if ordinary else _URGENT_STOPS
         near = self.nearer_than(NEAR)
         wanted = near.wanted(len(self.plan.layout.lengths))
         for swung in swings_after(self.plan, near.span, near.planned, courses, wanted):
