@@ -79,7 +79,7 @@ def flown(tmp_path_factory):
         small_plan("vehicles.tracking=0.25"),
         emulated_fleet(3),
         folder,
-        FlyOptions(speed=15.0, skipped=("hop", "carry")),
+        FlyOptions(speed=5.0, skipped=("hop", "carry")),
     )
     return folder
 
