@@ -14,9 +14,10 @@ plan, and of cable that hangs still.
 
 In the bound, a box belongs to a case (0: the whole team loses its setpoints, else that vehicle) and
 an interval of mission time. Its coordinates are the time of the loss, the coasting of the vehicles
-without setpoints (in seconds at their velocity then), and the advance of the others along the plan
-(in mission seconds). Margins are computed in the middle of a box; bounds of velocities,
-accelerations and of the sensitivity of strands extend them to the whole box.
+without setpoints (in seconds at their velocity then), the advance of the others along the plan (in
+mission seconds), and how far one that lands alone has descended. Margins are computed in the middle
+of a box; bounds of velocities, accelerations and of the sensitivity of strands extend them to the
+whole box.
 """
 
 from collections.abc import Callable, Sequence
@@ -58,9 +59,8 @@ class LossMotion(NamedTuple):
 
     ``times``, ``joints``, ``coefficients``, ``accelerations`` and ``jerks`` are those of a
     :class:`.motion_bounds.BoundedMotion`. If all coast, each is up to ``lag`` (n,) seconds of
-    coasting behind the first; one that lands alone descends by ``descent`` metres (n,). Within
-    ``tracking`` metres of the planned positions at one time, everything is certified. ``end`` is
-    the last mission time that is reached.
+    coasting behind the first. Within ``tracking`` metres of the planned positions at one time,
+    everything is certified. ``end`` is the last mission time that is reached.
     """
 
     times: Floats1
@@ -69,16 +69,15 @@ class LossMotion(NamedTuple):
     accelerations: Floats3
     jerks: Floats3
     lag: Floats1
-    descent: Floats1
     tracking: float
     end: float
 
 
 class Box(NamedTuple):
-    """A box: middles and half widths of the time of the loss, of coasting and of the advance.
+    """A box: middles and half widths of the time of the loss, coasting, advance and descent.
 
     ``rate`` is the mission clock's rate; coasting is in seconds at the velocity at the loss, the
-    advance in seconds of mission time.
+    advance in seconds of mission time, the descent of the vehicle without setpoints in metres.
     """
 
     case: int
@@ -89,14 +88,15 @@ class Box(NamedTuple):
     coast_half: float
     advance: float
     advance_half: float
+    descent: float
+    descent_half: float
 
 
 @inner
 def write_state(box: Box, motion: LossMotion, team: Team, doubts: Floats) -> bool:
     """Write the team's state, and whether a vehicle may be outside the tracking radius.
 
-    Its coordinates are the time of the loss, coasting and advance; ``doubts`` (3,) becomes the
-    uncertainty that the widths in these cause.
+    ``doubts`` (4,) becomes the uncertainty that the widths of its coordinates cause.
     """
     position, slopes, spread = team.position, team.slopes, team.spread
     together = 1 if box.case == 0 else 2  # the coordinate in which the planned positions advance
@@ -119,13 +119,13 @@ def write_state(box: Box, motion: LossMotion, team: Team, doubts: Floats) -> boo
         spread[i] = 0.5 * acceleration * width * width
         if moment + width > motion.end:
             spread[i] += 2.0 * _norm(slopes[0, i]) * width
-        if moment >= motion.end:
             widest = max(widest, spread[i])
         if box.case in (0, i + 1):
             largest = max(largest, _coast(box, i, motion, team))
     if largest <= motion.tracking:
-        doubts[0] = doubts[1] = doubts[2] = 0.0
+        doubts[:] = 0.0
         return False
+    doubts[3] = box.descent_half
     halves = box.half, box.coast_half, box.advance_half
     for coordinate in range(3):
         doubts[coordinate] = _apart(slopes[coordinate], team.scratch[0]) * halves[coordinate]
@@ -169,14 +169,13 @@ def _coast(box: Box, i: int, motion: LossMotion, team: Team) -> float:
     largest_jerk = largest_between(motion.jerks, pieces, i)
     # Whole team: each has coasted as long as the last to stop, or less where it lags behind.
     earlier = box.rate * motion.lag[i] if box.case == 0 else 0.0
-    sunk = 0.5 * motion.descent[i] if box.case > 0 else 0.0
     middle, most = max(box.coast - 0.5 * earlier, 0.0), box.coast + box.coast_half
     fastest = _norm(velocity) + largest_acceleration * box.half
     deviation = 0.5 * (largest_acceleration + most * largest_jerk) * box.half
     deviation += largest_acceleration * (box.coast_half + 0.5 * earlier)
-    spread = fastest * 0.5 * earlier + deviation * box.half + sunk
+    spread = fastest * 0.5 * earlier + deviation * box.half + box.descent_half
     halves, off = (box.half, box.coast_half, box.advance_half), team.spread[i] + spread
-    position[2] -= sunk
+    position[2] -= box.descent
     for axis in range(3):
         position[axis] += middle * velocity[axis]
         acceleration[axis] = velocity[axis] + middle * acceleration[axis]
@@ -314,7 +313,7 @@ class _Workspace(NamedTuple):
 
 
 class _Margins(NamedTuple):
-    """Lower bounds (m,) of margins in boxes, margins (m,) in their middles, doubts (m, 3).
+    """Lower bounds (m,) of margins in boxes, margins (m,) in their middles, doubts (m, 4).
 
     Both are 0 where all margins are larger.
     """
@@ -337,8 +336,7 @@ class StreamLossBound:
         )
         self._motion = LossMotion(
             times, joints, coefficients, motion.accelerations, motion.jerks,
-            overrun.lag, np.array(overrun.descent),
-            plan.mission.vehicles.tracking, end,
+            overrun.lag, plan.mission.vehicles.tracking, end,
         )  # fmt: skip
         self._required = required_of(plan)
         self._workspace = _Workspace(allocate_team(n), allocate_strands(n), np.empty((2, PLACES)))
@@ -386,15 +384,17 @@ class StreamLossBound:
         advance = at_rate(advances[interval], rate[interval])
         stopped = self._overrun.stopped(np.maximum(case - 1, 0), rate[interval])
         advance = np.where(case > 0, np.maximum(advance, stopped), 0.0)
-        middle = np.column_stack([0.5 * (start + end)[interval], 0.5 * coast, 0.5 * advance])
-        half = np.column_stack([0.5 * (end - start)[interval], 0.5 * coast, 0.5 * advance])
+        widths = coast, advance, np.append(0.0, self._overrun.descent)[case]
+        half = 0.5 * np.column_stack([(end - start)[interval], *widths])
+        middle = half.copy()
+        middle[:, 0] = 0.5 * (start + end)[interval]
         return Boxes(group, middle, half, np.full(len(group), -np.inf))
 
     def _possible(self, boxes: Boxes, rate: Floats, advances: Floats) -> Flags:
         """Boxes with possible states: the team neither goes back nor advances too far."""
         case, interval = np.divmod(boxes.group, len(advances))
-        time, coast, advance = boxes.middle.T
-        time_half, coast_half, advance_half = boxes.half.T
+        time, coast, advance, _ = boxes.middle.T
+        time_half, coast_half, advance_half, _ = boxes.half.T
         longest = self._overrun.largest_advance(
             (time - time_half, time + time_half), np.maximum(case - 1, 0), coast + coast_half,
             rate[interval], advances[interval],
@@ -408,7 +408,7 @@ class StreamLossBound:
     def _reached(self, boxes: Boxes, rate: Floats, advances: Floats) -> Flags:
         """Boxes whose middle is a possible state."""
         case, interval = np.divmod(boxes.group, len(advances))
-        time, coast, advance = boxes.middle.T
+        time, coast, advance, _ = boxes.middle.T
         longest = self._overrun.largest_advance(
             (time, time), np.maximum(case - 1, 0), coast, rate[interval], advances[interval]
         )
@@ -419,7 +419,7 @@ class StreamLossBound:
     def _margins(self, boxes: Boxes, rate: Floats) -> Enclosure:
         case, interval = np.divmod(boxes.group, len(rate))
         count = len(boxes)
-        found = _Margins(np.empty(count), np.empty(count), np.empty((count, 3)))
+        found = _Margins(np.empty(count), np.empty(count), np.empty((count, 4)))
         _write_margins(
             _Cases(case, rate[interval]), (boxes.middle, boxes.half), self._motion, self._required,
             self._workspace, found,
@@ -436,12 +436,12 @@ def _write_margins(
     workspace: _Workspace,
     found: _Margins,
 ) -> None:
-    """Write the margins of boxes with middles and half widths (m, 3)."""
+    """Write the margins of boxes with middles and half widths (m, 4)."""
     middle, half = boxes
     for m in range(len(middle)):
         box = Box(
             cases.case[m], cases.rate[m], middle[m, 0], half[m, 0], middle[m, 1], half[m, 1],
-            middle[m, 2], half[m, 2],
+            middle[m, 2], half[m, 2], middle[m, 3], half[m, 3],
         )  # fmt: skip
         low, here = workspace.margins
         found.low[m] = found.here[m] = 0.0

@@ -116,6 +116,17 @@ def test_the_rate_is_not_limited_outside_the_fold():
     assert found.rate_limit(plan.duration) == 1.0
 
 
+@pytest.mark.parametrize("descent", [0.1, 0.42])
+def test_a_descent_beside_wide_margins_does_not_slow_the_clock(descent):
+    """The chords have 0.4 m left, and get 3 cm longer where one of them lands alone."""
+    for speed in (0.3, 0.6):
+        slow = certify_stream_loss(sideways(speed), StreamLossModel(descent=(descent,)))
+        assert (slow.rates == 1.0).all()
+    # and hardly where they are nearly taut: as without a descent
+    fast = certify_stream_loss(sideways(1.2), StreamLossModel(descent=(descent,)))
+    assert fast.rates.min() == certify_stream_loss(sideways(1.2)).rates.min()
+
+
 def test_a_plan_without_margin_at_the_slowest_rate_gets_a_warning():
     taut = certify_stream_loss(
         plan_of(moving([0.0, 2.0], [line(0.0, 3.59), line(1.0, 3.59)]), [LENGTH, LENGTH])
@@ -194,22 +205,28 @@ def after_loss(plan, model, vehicle, time, rate, elapsed):
 
 
 @pytest.mark.parametrize(
-    ("timeout", "returns", "losses"),
+    ("timeout", "returns", "descent", "losses"),
     [
-        ((0.5,), (False,), 250),
-        ((0.5, 0.2, 0.1) * 3, (False,), 250),
-        ((0.5,), (True,), 250),
-        pytest.param((0.5,), (False,), 3000, marks=pytest.mark.full),
-        pytest.param((0.5, 0.2, 0.1) * 3, (False, True, False) * 3, 3000, marks=pytest.mark.full),
-        pytest.param((0.1,), (False,), 3000, marks=pytest.mark.full),
-        pytest.param((0.5,), (True, False, False) * 3, 3000, marks=pytest.mark.full),
+        ((0.5,), (False,), (0.0,), 250),
+        ((0.5, 0.2, 0.1) * 3, (False,), (0.42, 0.0, 0.3) * 3, 250),
+        ((0.5,), (True,), (0.0,), 250),
+        pytest.param((0.5,), (False,), (0.0,), 3000, marks=pytest.mark.full),
+        pytest.param(
+            (0.5, 0.2, 0.1) * 3, (False, True, False) * 3, (0.0,), 3000, marks=pytest.mark.full
+        ),
+        pytest.param((0.1,), (False,), (0.0,), 3000, marks=pytest.mark.full),
+        pytest.param((0.5,), (True, False, False) * 3, (0.0,), 3000, marks=pytest.mark.full),
+        pytest.param((0.5,), (False,), (0.42,), 3000, marks=pytest.mark.full),
     ],
 )
 def test_random_losses_keep_every_certified_margin(
-    overhand, overhand_assessed, timeout, returns, losses
+    overhand, overhand_assessed, timeout, returns, descent, losses
 ):
-    """Random losses at random times and rates, also between the certificate's samples."""
-    model, found = StreamLossModel(timeout, 1.0, returns=returns), overhand_assessed.stream_loss
+    """Random losses at random times and rates, also between the certificate's samples.
+
+    A vehicle that lands alone may be anywhere in its descent.
+    """
+    model, found = StreamLossModel(timeout, 1.0, descent, returns), overhand_assessed.stream_loss
     if found.model != model:
         found = certify_stream_loss(overhand, model)
     monitor, rng = Monitor(overhand), np.random.default_rng(7)
@@ -224,6 +241,10 @@ def test_random_losses_keep_every_certified_margin(
         rate = found.rate_limit(time) * rng.choice([1.0, rng.uniform(0.0, 1.0)])
         vehicle = int(rng.integers(overhand.vehicles + 1))
         reached, off = after_loss(overhand, model, vehicle, time, rate, rng.uniform(0.0, 6.0))
+        if vehicle:
+            sunk = rng.uniform() * np.broadcast_to(descent, overhand.vehicles)[vehicle - 1]
+            reached[vehicle - 1, 2] -= sunk
+            off = max(off, sunk)
         if off > ball:
             states.append(reached)
     assert len(states) > 50
