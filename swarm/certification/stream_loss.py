@@ -773,7 +773,10 @@ class RateLimits(NamedTuple):
 def limits_ahead(
     plan: Plan, model: StreamLossModel, progress: Callable[[float], None] = lambda _: None
 ) -> RateLimits:
-    """Return the limits of a clock that runs on, in the fold of a plan; none without a fold."""
+    """Return the limits of a clock that runs on, in the fold of a plan; none without a fold.
+
+    ``progress`` is called with the share of its times for which the rate is known.
+    """
     fold = _fold(plan)
     if fold is None:
         none = np.empty(0)
