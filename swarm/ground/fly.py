@@ -178,8 +178,9 @@ class Preflight:
             self._decision.put("the question before the flight failed")
             raise
 
-    def _progress(self, words: str, share: float) -> None:
-        self.doing = f"{words}, {share:.0%}" if words == LOST_SETPOINTS else words
+    def _say(self, words: str, _share: float = 0.0) -> None:
+        """Say what takes time now; the auditor's words count its vehicles themselves."""
+        self.doing = words
 
     def _audit_vehicles(self, audit: Audit, relay: Relay) -> Audit:
         """Return the audit with the findings on firmware, health, battery and parameters."""
@@ -187,14 +188,16 @@ class Preflight:
         names = {v.system: v.autopilot.name for v in flyers if v.autopilot is not None}
         plan, fleet = self.conductor.plan, self.conductor.fleet
         required, gps = plan_requirements(plan, fleet), fleet.frame == "gps"
-        audits = Auditor(relay, names, required, self._progress, on_earth=gps).audit()
+        audits = Auditor(relay, names, required, self._say, on_earth=gps).audit()
         with suppress(OSError):
             save_parameters(self.folder, audits)
         values = {vehicle.system: vehicle.parameters for vehicle in audits}
         flown = [(names[v.system], values[v.system]) for v in flyers if v.system in names]
         model = stream_loss_model(flown, fleet.limits)
         loss, loss_findings = stream_loss_findings(
-            self.conductor.flight_plan, model, partial(self._progress, LOST_SETPOINTS)
+            self.conductor.flight_plan,
+            model,
+            lambda share: self._say(f"{LOST_SETPOINTS}, {share:.0%}"),
         )
         duration = plan.flight_duration + loss.delay
         battery = 100.0 * duration / plan.mission.vehicles.endurance

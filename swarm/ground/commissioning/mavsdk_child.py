@@ -35,7 +35,8 @@ HEALTH_TIMEOUT = 5.0
 """Seconds within which a healthy vehicle is expected to report that it is healthy."""
 _HEALTH_PERIOD = 1.0
 """Seconds within which a subsystem was healthy at least once: without GPS, each SYS_STATUS of an
-ArduPilot makes MAVSDK's local position unhealthy until the next LOCAL_POSITION_NED."""
+ArduPilot makes MAVSDK's local position unhealthy until the next LOCAL_POSITION_NED, measured every
+0.5 s for 0.05 to 0.2 s: two such periods, where one may be missed."""
 _HEALTH = {
     "gyroscope": "is_gyrometer_calibration_ok",
     "accelerometer": "is_accelerometer_calibration_ok",
