@@ -267,10 +267,13 @@ def test_the_record_of_a_shared_flight_is_read_by_the_group(tmp_path):
     assert (tmp_path / "old").stat().st_gid != GROUP
 
 
-def test_noise_on_the_socket_is_no_request_and_does_not_end_it(flight, console, tmp_path):
-    """Random bytes, lines without end, kills with guessed numbers, clients that come and go."""
+def test_noise_on_the_socket_is_no_request_and_does_not_end_it(flight, tmp_path):
+    """Random bytes, lines without end, kills with guessed numbers, clients that come and go.
+
+    Each client has a console of its own, as in a flight: none guesses the number of another.
+    """
     rng = np.random.default_rng(4)
-    control = ControlSocket(tmp_path / "control", lambda: console)
+    control = ControlSocket(tmp_path / "control", lambda: OperatorConsole(flight, dict))
     for k in range(200):
         with socket.socket(socket.AF_UNIX) as client:
             client.connect(str(tmp_path / "control"))
