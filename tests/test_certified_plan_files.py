@@ -68,6 +68,7 @@ def refusal(data: bytes) -> str:
     return str(error.value)
 
 
+@pytest.mark.slow
 def test_a_certified_plan_is_read_bit_by_bit_and_certified_again():
     again, notice = read_certified(written(), "a.plan")
     assert notice == ""
@@ -77,6 +78,7 @@ def test_a_certified_plan_is_read_bit_by_bit_and_certified_again():
     assert certified_plan_file(again.certified()) == written()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -108,6 +110,7 @@ def test_another_certificate_is_refused_although_its_digests_agree(change, words
     assert words in said
 
 
+@pytest.mark.slow
 def test_an_edited_certificate_is_refused_with_every_figure_that_does_not_hold():
     flown = reviewed().assessment.distances["vehicle"].distance
 
@@ -142,6 +145,7 @@ def stating_more(document) -> None:
     document["findings"].pop()
 
 
+@pytest.mark.slow
 def test_a_file_of_another_version_is_certified_anew_and_never_believed():
     shown = reviewed().assessment
     planned, notice = read_certified(
@@ -163,6 +167,7 @@ def test_a_file_of_another_version_is_certified_anew_and_never_believed():
     assert certified_plan_file(planned.certified()) == written()
 
 
+@pytest.mark.slow
 def test_a_file_of_another_version_with_the_same_figures_says_so(tmp_path):
     path = tmp_path / "a.plan"
     path.write_bytes(forged("certificate.json", lambda _: None, checks=None))

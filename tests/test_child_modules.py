@@ -38,6 +38,7 @@ def test_a_module_gets_its_arguments_and_runs_as_the_main_one(tmp_path: Path) ->
     assert "--no-such-option" in refused.stderr
 
 
+@pytest.mark.slow
 def test_machine_code_is_compiled_for_the_files_that_are_used(decoys: Path) -> None:
     """Compiled for a checkout in the current folder, the installed files would have none."""
     program = (

@@ -52,6 +52,7 @@ def test_knots_are_planned_on_the_workers(scheduler):
     assert (row["knot"], row["vehicles"], row["cleared"]) == ("3_1", 9, True)
 
 
+@pytest.mark.slow
 def test_failure_tests_on_the_workers_are_those_of_this_machine(scheduler):
     plan = small_plan(vehicles=3)
     cases = [case for case in FAILURE_CASES if case.name == "killed"]

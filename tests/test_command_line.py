@@ -50,6 +50,7 @@ def test_a_plan_for_a_fleet_has_its_measured_tracking_error(tmp_path: Path) -> N
     )
 
 
+@pytest.mark.slow
 def test_a_fleet_with_larger_errors_than_certified_is_refused(tmp_path: Path) -> None:
     fleet, plan = tmp_path / "measured.yaml", tmp_path / "carry.plan"
     fleet.write_text(with_tracking((ROOT / "missions/fleets/emulator.yaml").read_text(), 0.9))
@@ -164,6 +165,7 @@ def test_a_cleared_plan_exits_with_0() -> None:
     assert (result.returncode, plan["cleared"], plan["vehicles"]) == (0, True, 1)
 
 
+@pytest.mark.slow
 def test_the_papers_own_trajectory_is_shown_and_refused_because_strands_meet(
     tmp_path: Path,
 ) -> None:
@@ -191,6 +193,7 @@ def test_the_papers_own_trajectory_is_shown_and_refused_because_strands_meet(
     assert phases == ["takeoff", "grab", "contract", "lift", "fold", "hold", "finish", "land"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_real_time")
 def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> None:
     write_bytes(tmp_path / "overhand.plan", certified_plan_file(planned_overhand().certified()))
@@ -226,6 +229,7 @@ def test_the_overhand_flies_over_udp_and_leaves_its_record(tmp_path: Path) -> No
     assert f"another plan than {other}: expected digest" in refused.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_real_time")
 def test_a_killed_emulator_is_explained_and_exits_with_3(tmp_path: Path) -> None:
     flight = subprocess.Popen(
@@ -251,6 +255,7 @@ def test_a_killed_emulator_is_explained_and_exits_with_3(tmp_path: Path) -> None
     assert "Traceback" not in errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "total", "knot"),
     [

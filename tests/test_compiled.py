@@ -67,6 +67,7 @@ CHANGES = (
 )
 
 
+@pytest.mark.slow
 def test_machine_code_is_used_again_until_what_it_is_made_of_changes(package):
     assert run(package) == "42"
     before, folders = kept(package), list((package / "cache" / "swarm").iterdir())
@@ -98,6 +99,7 @@ def test_the_first_compilation_registers_no_more_types_of_arguments():
     assert found.strip() == "set()"
 
 
+@pytest.mark.slow
 def test_a_script_is_compiled_again_when_a_file_beside_it_has_changed(tmp_path):
     (tmp_path / "constant.py").write_text("STEP = 1\n")
     script = tmp_path / "script.py"

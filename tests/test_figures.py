@@ -46,6 +46,7 @@ def one_line(text: str) -> str:
     return " ".join(text.split())
 
 
+@pytest.mark.slow
 def test_the_tutorial_shows_what_its_commands_print(printed):
     """Decimal numbers may differ by 5 %, as between processors (tests/golden); line breaks too."""
     shown = {words[0]: output for words, output in with_output(DOCS / "tutorial.md")}
@@ -60,6 +61,7 @@ def test_the_tutorial_shows_what_its_commands_print(printed):
             assert found == pytest.approx(expected, rel=RELATIVE["duration, s"], abs=0.011)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("page", "words"),
     [

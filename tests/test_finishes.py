@@ -43,6 +43,7 @@ def at(plan: Plan, name: str, end: bool = False) -> np.ndarray:
     return plan.motion.at(phase.end if end else phase.start)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "finish",
     [*(pytest.param(name, marks=pytest.mark.full) for name in ("hold", "unfold")), "tighten"],
@@ -126,6 +127,7 @@ def test_a_tied_cable_that_breaks_away_too_early_is_refused() -> None:
     assert [f.check for f in torn.findings if f.severity == "error"] == ["breakaway"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "overrides",
     [

@@ -37,6 +37,7 @@ def test_a_plan_without_cable_carries_none() -> None:
     assert basis.words == "certified for tracking errors of up to 0.1 m; no cable is carried"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["hover", "two_carry", pytest.param("pass_over", marks=pytest.mark.full)]
 )

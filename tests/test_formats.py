@@ -245,6 +245,7 @@ def test_a_record_is_not_planned_again_and_a_damaged_one_is_refused(record: Path
     assert f"{record / 'none' / 'a.mcap'}: no such folder: {record / 'none'}" in said.stderr
 
 
+@pytest.mark.slow
 def test_crazyswarm_trajectories_are_the_polynomials_of_the_plan(
     cleared: CertifiedPlan,
 ) -> None:
@@ -268,6 +269,7 @@ def test_crazyswarm_trajectories_are_the_polynomials_of_the_plan(
         assert starts[-1] == pytest.approx(overhand.duration)
 
 
+@pytest.mark.slow
 def test_a_skybrush_show_is_within_a_millimetre_of_the_plan(cleared: CertifiedPlan) -> None:
     overhand = cleared.plan
     data, error = show_file(cleared)
@@ -350,6 +352,7 @@ def test_a_plan_is_exported_for_programs_that_fly(tmp_path: Path) -> None:
     assert f"{folder}: file exists\n" in said.stderr
 
 
+@pytest.mark.slow
 def test_more_pieces_than_a_crazyflie_holds_are_announced(
     cleared: CertifiedPlan, tmp_path: Path
 ) -> None:

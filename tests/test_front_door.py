@@ -177,6 +177,7 @@ def test_a_plan_with_the_certificate_of_another_plan_is_refused():
     assert [problem.place for problem in error.value.problems] == ["trials", "jobs"]
 
 
+@pytest.mark.slow
 def test_a_flight_has_its_implied_knot_and_tracking_error(tmp_path):
     plan, certificate = held()
     flight = swarm.simulate(plan, certificate, seed=3)
@@ -191,6 +192,7 @@ def test_a_flight_has_its_implied_knot_and_tracking_error(tmp_path):
     assert (tmp_path / "flight.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_trials_are_a_sequence_and_a_table(tmp_path, monkeypatch):
     plan, certificate = held()
     shares = []

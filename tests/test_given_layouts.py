@@ -67,6 +67,7 @@ def test_segments_that_cross_and_sag_alike_are_refused() -> None:
         make_plan(star("layout.sags=[2, 1, 2, 3]"))
 
 
+@pytest.mark.slow
 def test_a_given_layout_that_exceeds_the_endurance_is_refused_with_that_error() -> None:
     path = Path(__file__).parents[1] / "missions" / "overhand_five.yaml"
     mission = parse_mission(path.read_text(), str(path), ["vehicles.endurance=60"])

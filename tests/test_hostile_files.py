@@ -99,6 +99,7 @@ HARMLESS = {("rows", "nothing"), ("cable", "number")}
 """Tables of no knots, and of one length, are tables."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", READERS)
 @pytest.mark.parametrize("hostile", HOSTILE)
 def test_files_of_other_kinds_are_refused(kind, hostile, tmp_path):
@@ -111,6 +112,7 @@ def test_files_of_other_kinds_are_refused(kind, hostile, tmp_path):
     assert 0 < len(str(error.value)) < 5000
 
 
+@pytest.mark.slow
 def test_a_mission_of_too_many_values_is_refused():
     with pytest.raises(InputError, match=r"^m: expected at most 50,000 values$"):
         parse_yaml("[" + "1," * 60_000 + "1]", "m")
@@ -240,6 +242,7 @@ def flown(record):
     return recorded_flight(record, recorded_plan(record)), list(recorded_events(record))
 
 
+@pytest.mark.slow
 def test_records_with_one_damaged_file_are_read_or_refused(record, tmp_path):
     for name in ("plan.json", "fleet.json", "certificate.json", "events.jsonl", "flight.tlog"):
         for seed in range(6):

@@ -19,7 +19,7 @@ REASONED = ("geometry", "certification", "folding", "planning", "planner", "flig
     [
         ["ruff", "check", "."],
         ["ruff", "format", "--check", "."],
-        ["mypy"],
+        pytest.param(["mypy"], marks=pytest.mark.slow),
         ["lint-imports"],
     ],
     ids=" ".join,

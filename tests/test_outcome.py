@@ -20,6 +20,7 @@ def hover(tmp_path_factory):
     return said, Reader(page.read_text()).words
 
 
+@pytest.mark.slow
 def test_a_flight_without_cable_has_no_line_on_knots_and_distances_of_vehicles_alone(hover):
     said, words = hover
     assert said.returncode == 0

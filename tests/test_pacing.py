@@ -85,6 +85,7 @@ def test_slowing_that_lost_setpoints_do_not_need_is_undone_where_it_was_slowed()
     assert quick.loss == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_a_fold_beyond_the_endurance_is_slowed_no_more_than_losses_need() -> None:
     # of 5_2, which is slowed by 5 to 7 s too much: that of 4_1 depends on the CPU, 0.05 to 0.2 s
     plan = make_plan(mission_for_knot("5_2"))
@@ -110,6 +111,7 @@ def test_a_slowed_motion_is_as_smooth_and_ends_at_the_same_place() -> None:
     assert np.linalg.norm(slow.at(slow.times)[1], axis=2).max() <= 2.0
 
 
+@pytest.mark.slow
 def test_the_usual_limit_of_the_swing_gives_way_to_the_endurance() -> None:
     """The plan is slowed as far as the endurance allows; a limit in metres is kept."""
     timed = timed_for_losses(make_plan(mission_for_knot("4_1")))

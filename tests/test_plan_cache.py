@@ -151,6 +151,7 @@ for _ in range(20):
 """
 
 
+@pytest.mark.slow
 def test_processes_write_and_read_the_same_entry(folder):
     processes = [
         subprocess.Popen(

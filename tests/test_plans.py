@@ -160,6 +160,7 @@ def test_a_plan_does_not_depend_on_the_threads_of_a_machine() -> None:
     assert one == two
 
 
+@pytest.mark.slow
 def test_libraries_that_planning_loads_have_one_thread_too() -> None:
     """In a process of its own: this one has loaded them already."""
     program = (
@@ -194,6 +195,7 @@ def test_a_motion_that_exceeds_the_endurance_is_noted_and_the_shortest_is_return
     assert 60.0 < result.plan.flight_duration <= long.flight_duration
 
 
+@pytest.mark.slow
 def test_a_folding_whose_repairs_ran_out_can_be_repaired_further() -> None:
     mission = mission_for_knot("3_1", ["limits.accept_negative_budget=true"])
     with planner.one_thread():
@@ -208,6 +210,7 @@ def test_a_folding_whose_repairs_ran_out_can_be_repaired_further() -> None:
         assert repair(further, (), 3).kept
 
 
+@pytest.mark.slow
 def test_clearances_a_short_budget_and_jets_are_repaired_at_once() -> None:
     mission = mission_for_knot("3_1", ["limits.accept_negative_budget=false", "fold.swing=0.06"])
     with planner.one_thread():

@@ -31,6 +31,7 @@ def test_a_preset_keeps_other_rotors_and_cable_out_of_its_own(preset):
     assert vehicles.payload < vehicles.mass
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("knot", ["overhand", pytest.param("figure-eight", marks=pytest.mark.full)])
 @pytest.mark.parametrize(
     "name",

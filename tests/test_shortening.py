@@ -87,6 +87,7 @@ workspace:
 """A ceiling, a fence with a corner that points inwards, and obstacles amid the team."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("term", TERMS)
 def test_derivatives_of_each_term_are_those_of_its_values(term: str) -> None:
     short, fold, frozen = begun()
@@ -187,6 +188,7 @@ def test_walls_are_as_far_as_the_sides_of_a_fence_that_has_a_corner_inwards(
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_way_to_the_line_is_that_of_the_flight() -> None:
     plan = as_certified().plan
     problem, fold = shortening._problem_of(plan)
@@ -271,6 +273,7 @@ def test_an_optimised_fold_is_the_same_from_a_start_that_differs_by_millimetres(
     assert found[0].duration == pytest.approx(found[1].duration, rel=0.03)
 
 
+@pytest.mark.slow
 def test_the_certificate_asks_for_more_where_a_clearance_does_not_hold() -> None:
     plan = as_certified().plan
     short, fold = Shortening.of(plan)

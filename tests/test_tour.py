@@ -10,6 +10,7 @@ import pytest
 MISSIONS = Path(__file__).parents[1] / "missions"
 
 
+@pytest.mark.slow
 def test_the_tour_plans_certifies_draws_and_rehearses(tmp_path):
     mission = MISSIONS / "first-steps" / "two_carry.yaml"
     done = subprocess.run(

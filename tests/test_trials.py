@@ -92,6 +92,7 @@ def test_a_stronger_wind_of_the_mission_widens_the_spread():
     assert max(draw(windy, emulated_fleet(3), Spread(), 1, k).wind for k in range(50)) > 2.0
 
 
+@pytest.mark.slow
 def test_a_trial_measures_the_true_positions():
     one = flown(0)
     assert (one.outcome, one.reason, one.completed) == ("done", "", True)
@@ -108,6 +109,7 @@ def test_a_trial_without_cable_is_completed_as_planned():
     assert (one.outcome, one.reason, one.knot, one.as_planned) == ("done", "", "0_1", True)
 
 
+@pytest.mark.slow
 def test_trials_in_processes_are_the_trials_flown_alone():
     """In processes that have been started before."""
     answer = signal.getsignal(signal.SIGINT)
@@ -124,6 +126,7 @@ def test_trials_in_processes_are_the_trials_flown_alone():
         assert np.array_equal(bounds, shared.distances[name])
 
 
+@pytest.mark.slow
 def test_trials_before_the_death_of_a_worker_are_kept():
     killed = []
 
@@ -144,6 +147,7 @@ def test_an_interrupt_while_processes_start_gives_no_warning(recwarn):
     assert not recwarn.list
 
 
+@pytest.mark.slow
 def test_trials_on_a_cluster_are_the_trials_flown_alone(monkeypatch):
     monkeypatch.setitem(sys.modules, "snappy", None)  # SnapPy is not the compressor of that name
     distributed = pytest.importorskip("distributed")
@@ -257,6 +261,7 @@ def test_errors_of_a_scenario_name_their_place(text, message):
     assert message in str(caught.value)
 
 
+@pytest.mark.slow
 def test_only_the_emulator_flies_a_refused_plan(tmp_path):
     wrong = uncleared("clearance.vehicle=3.5")
     errors = [found for found in wrong.assessment.findings if found.severity == "error"]

@@ -52,6 +52,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_walk_through_runs_and_prints_its_output(folder):
     names, printed = {}, ""
     for kind, text in blocks():
@@ -96,6 +97,7 @@ def through_the_door(text, folder):
     return names
 
 
+@pytest.mark.slow
 def test_the_lines_at_the_top_run_with_a_small_mission(folder):
     text = lines_at_the_top()
     for long, short in (

@@ -30,6 +30,7 @@ def changed(plan: Plan, change) -> Plan:
     return replace(plan, motion=through_states(times, *states))
 
 
+@pytest.mark.slow
 def test_the_recorded_overhand_is_cleared(overhand_assessed):
     assert [f.message for f in overhand_assessed.findings if f.severity == "error"] == []
     assert overhand_assessed.cleared
@@ -41,6 +42,7 @@ def test_the_recorded_overhand_is_cleared(overhand_assessed):
     assert all(f.at_time is not None and f.where is not None for f in tightest)
 
 
+@pytest.mark.slow
 def test_a_mirrored_knot_has_the_wrong_code_and_chirality(overhand):
     mirror = np.array([-1.0, 1.0, 1.0])
     mirrored = replace(
@@ -51,6 +53,7 @@ def test_a_mirrored_knot_has_the_wrong_code_and_chirality(overhand):
     assert "left-handed" in found["knot type"][0]
 
 
+@pytest.mark.slow
 def test_swapped_lanes_make_strands_meet(overhand):
     """Strands pass below instead of above during the fold; the end is right."""
     fold = overhand.phase("fold")

@@ -286,6 +286,7 @@ def test_an_acceleration_just_above_its_limit_is_refused():
         assert errors(assess(plan_of(moving([0, duration], places), [3.0])).findings) == wrong
 
 
+@pytest.mark.slow
 def test_the_scope_states_grip_release_and_exempt_length(overhand, overhand_assessed):
     (scope,) = [f.message for f in overhand_assessed.findings if f.check == "scope"]
     beyond = exempt_length(overhand)

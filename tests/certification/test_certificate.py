@@ -93,6 +93,7 @@ def test_what_was_measured_counts_for_exactly_this_plan():
     assert PlanChecks.of(plan).moments() is not before
 
 
+@pytest.mark.slow
 def test_no_other_module_uses_the_construction_key():
     package = Path(__file__).parents[2] / "swarm"
     for path in package.rglob("*.py"):

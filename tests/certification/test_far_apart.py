@@ -17,6 +17,7 @@ def a_ball(rng, count, radius):
     return radius * direction / np.linalg.norm(direction, axis=1)[:, None]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [0.0, 3.0])
 @pytest.mark.parametrize("check", ["cable clearance", "vehicle-cable clearance"])
 def test_far_pairs_keep_their_distance_for_every_displacement(overhand, check, speed):

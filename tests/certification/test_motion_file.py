@@ -27,6 +27,7 @@ def problems(text):
     return [str(problem) for problem in error.value.problems]
 
 
+@pytest.mark.slow
 def test_an_exported_plan_is_imported_as_the_same_motion(overhand, overhand_assessed):
     text = "\n".join(motion_rows(overhand))
     motion = read_motion(text, "m.csv")

@@ -91,6 +91,7 @@ def certified_distances(plan, obstacle, **options):
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=12, deadline=None)
 @given(st.integers(0, 10_000))
 def test_an_adversary_never_finds_less_than_is_certified(seed):

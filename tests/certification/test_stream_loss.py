@@ -77,6 +77,7 @@ def test_a_chord_allows_exactly_the_lead_of_the_geometry():
     assert lead(faster) > allowed - 0.3
 
 
+@pytest.mark.slow
 def test_a_longer_timeout_never_allows_a_faster_clock():
     plan = small_plan().plan
     short = certify_stream_loss(plan, StreamLossModel((0.5,), 1.0))
@@ -84,6 +85,7 @@ def test_a_longer_timeout_never_allows_a_faster_clock():
     assert (long.rates <= short.rates + 1e-9).all()
 
 
+@pytest.mark.slow
 @given(
     limits=st.lists(
         st.tuples(st.floats(15.0, 55.0), st.floats(0.5, 8.0), st.sampled_from(RATES)),
@@ -204,6 +206,7 @@ def after_loss(plan, model, vehicle, time, rate, elapsed):
     return reached, np.linalg.norm(reached - planned, axis=1).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("timeout", "returns", "descent", "losses"),
     [

@@ -82,6 +82,7 @@ def flown(plan: Plan, change: float | None, step: float, course: Course = COURSE
     return np.array(times)
 
 
+@pytest.mark.slow
 @settings(max_examples=16, deadline=None)
 @given(share=st.floats(0.05, 0.98), course=st.sampled_from(COURSES))
 @example(share=0.6484375, course=COURSES[6])  # outside with beginnings every 2 s
@@ -99,6 +100,7 @@ def test_it_contains_finer_simulations_of_every_change_of_rate(
     assert (strays <= allowed).all(), (strays - allowed).max()
 
 
+@pytest.mark.slow
 def test_it_contains_the_emulators_cable(shaped: Plan, tube: SwingTube) -> None:
     # another code with its own links, steps and drag, its grips exactly on the plan
     times, lengths = flown(shaped, None, TICK), shaped.layout.lengths
@@ -138,6 +140,7 @@ def _hanging(grips: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     return drawn.reshape(-1, 3)[np.r_[0, np.arange(len(drawn) * 40)[1:]]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("course", COURSES, ids=lambda course: course.name)
 def test_courses_are_those_of_the_mission_clock(shaped: Plan, course: Course) -> None:
     begin = shaped.phase("fold").start + 20.0
@@ -147,6 +150,7 @@ def test_courses_are_those_of_the_mission_clock(shaped: Plan, course: Course) ->
     assert found[1:] == pytest.approx(expected, abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("course", [COURSES[0], COURSES[5]], ids=lambda course: course.name)
 def test_strands_come_no_nearer_than_the_approach_states(
     shaped: Plan, tube: SwingTube, course: Course
@@ -171,6 +175,7 @@ def test_strands_come_no_nearer_than_the_approach_states(
         assert nearer <= tube.pairs.approach[row]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not hasattr(os, "sched_setaffinity"), reason="no cores to choose on this system"
 )
@@ -188,6 +193,7 @@ def test_the_tube_is_the_same_on_one_core(shaped: Plan, tube: SwingTube) -> None
     assert np.array_equal(again.ordinary.pieces, tube.ordinary.pieces)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("limit", "known"), [(0.06, True), (0.06, False), ("auto", False)])
 def test_near_pairs_swing_after_urgent_stops_as_all_do(
     shaped: Plan, limit: float | str, known: bool
@@ -212,6 +218,7 @@ def test_near_pairs_swing_after_urgent_stops_as_all_do(
     assert found.approach.sum() > 0.9 * tube.pairs.approach[near].sum()
 
 
+@pytest.mark.slow
 def test_all_ordinary_stops_are_simulated_where_clearances_hold_after_some(shaped: Plan) -> None:
     plan = with_limit(shaped, 0.07)
     assert violations(plan) == ()
@@ -226,6 +233,7 @@ def test_all_ordinary_stops_are_simulated_where_clearances_hold_after_some(shape
     assert "ordinary_swings" not in vars(PlanChecks.of(short))
 
 
+@pytest.mark.slow
 def test_the_cable_does_not_swing_before_it_is_aloft(shaped: Plan) -> None:
     span = aloft(shaped)
     assert span is not None
@@ -235,6 +243,7 @@ def test_the_cable_does_not_swing_before_it_is_aloft(shaped: Plan) -> None:
     assert np.abs(first.strays[0, 0]).max() < 0.002
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(
     segment=st.integers(0, 7), time=st.floats(30.0, 90.0), half=st.floats(0.0, 9.0),
@@ -253,6 +262,7 @@ def test_bounds_over_an_interval_are_those_of_its_moments(
     assert found.now <= whole.now == tube.all_changes.strands(time)[segment]
 
 
+@pytest.mark.slow
 def test_the_default_overhand_is_certified_for_a_swinging_cable() -> None:
     result = planned_overhand()
     assert result.assessment.swing_certified
@@ -269,6 +279,7 @@ def test_the_default_overhand_is_certified_for_a_swinging_cable() -> None:
     )
 
 
+@pytest.mark.slow
 def test_clearances_are_certified_without_urgent_changes(shaped: Plan, tube: SwingTube) -> None:
     found = PlanChecks.of(shaped).certified_tube
     assert found is not None
@@ -278,6 +289,7 @@ def test_clearances_are_certified_without_urgent_changes(shaped: Plan, tube: Swi
     assert tube.ordinary.largest < 0.7 * tube.all_changes.largest
 
 
+@pytest.mark.slow
 def test_a_shaped_fold_keeps_its_limit(shaped: Plan, tube: SwingTube) -> None:
     assert 0.02 < tube.planned.max() <= 0.06
     assert max(tube.changed.values()) > tube.planned.max()
@@ -285,12 +297,14 @@ def test_a_shaped_fold_keeps_its_limit(shaped: Plan, tube: SwingTube) -> None:
     assert tube.times[-1] == pytest.approx(shaped.phase("hold").end, abs=BIN)
 
 
+@pytest.mark.slow
 def test_an_unshaped_fold_swings_four_times_as_far(overhand: Plan) -> None:
     found = PlanChecks.of(overhand).tube
     assert found is not None
     assert found.planned.max() > 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("limit", "severity"), [(0.06, "info"), (0.005, "error"), ("auto", "warning")]
 )
@@ -307,6 +321,7 @@ def test_the_finding_is_an_error_beyond_the_limit(
     assert f"urgent rewind {tube.changed['urgent rewind']:.2f} m; with" in found.message
 
 
+@pytest.mark.slow
 def test_the_finding_names_segment_and_time(shaped: Plan, tube: SwingTube) -> None:
     planned = np.zeros_like(tube.planned)
     planned[7, 1] = 0.2
@@ -319,6 +334,7 @@ def test_the_finding_names_segment_and_time(shaped: Plan, tube: SwingTube) -> No
     assert swing_findings(shaped, None) == []
 
 
+@pytest.mark.slow
 def test_a_plan_with_a_chord_longer_than_its_cable_has_no_tube(shaped: Plan) -> None:
     lengths = shaped.layout.lengths.copy()
     lengths[3] *= 0.5
@@ -327,6 +343,7 @@ def test_a_plan_with_a_chord_longer_than_its_cable_has_no_tube(shaped: Plan) -> 
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=4, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.1, 0.95))
 def test_swinging_strands_with_tracking_errors_keep_the_certified_distance(
@@ -352,6 +369,7 @@ def test_swinging_strands_with_tracking_errors_keep_the_certified_distance(
     assert least - cable.diameter >= certified
 
 
+@pytest.mark.slow
 def test_without_a_limit_of_the_swing_clearances_are_quasi_static(shaped: Plan) -> None:
     checks = ("cable clearance", "vehicle-cable clearance", "floor")
     swinging, still = (
@@ -363,6 +381,7 @@ def test_without_a_limit_of_the_swing_clearances_are_quasi_static(shaped: Plan) 
     assert all(swinging[name] < still[name] - 0.005 for name in both)
 
 
+@pytest.mark.slow
 def test_a_tube_that_other_stops_and_resumes_leave_is_refused(
     shaped: Plan, tube: SwingTube
 ) -> None:

@@ -173,6 +173,7 @@ def _plan(motion: Motion, lengths: list[float]) -> Plan:
     return plan_of(motion, lengths, FENCE, POST, "workspace.ceiling=9", "vehicles.tracking=0.05")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", NAMES)
 def test_the_monitor_sees_every_kind(kind: str) -> None:
     places = np.stack([place_with(kind, 0.03), place_with(kind, -0.002)])
@@ -184,6 +185,7 @@ def test_the_monitor_sees_every_kind(kind: str) -> None:
     assert monitor.clock_rate(places, "aloft") == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", NAMES)
 def test_a_loss_that_breaks_any_kind_limits_the_rate(kind: str) -> None:
     # the vehicle turns just before; without setpoints it would fly on
@@ -203,6 +205,7 @@ def test_a_loss_that_breaks_any_kind_limits_the_rate(kind: str) -> None:
             assert min(brute(plan, flown_on).values()) > -0.001
 
 
+@pytest.mark.slow
 def test_margins_are_those_of_dense_samples() -> None:
     plan = plan_for("floor")
     rng, seen = np.random.default_rng(4), dict.fromkeys(NAMES, 0)

@@ -63,6 +63,7 @@ def test_a_wind_is_refused_where_a_weaker_one_blows_strands_together():
     assert nearest_in_winds(plan, 2.8093, (0, 2)) < plan.mission.clearance.cable
 
 
+@pytest.mark.slow
 def test_in_no_wind_up_to_the_certified_one_strands_come_nearer_than_required():
     """Strands that pass each other, so that time, tilt and errors count together."""
     far = [[-30, 30, 60], [-30, -30, 60]]

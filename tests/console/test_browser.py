@@ -132,6 +132,7 @@ def shows(page, selector, text):
     expect(page.locator(selector)).to_contain_text(text, timeout=1000.0 * PATIENCE)
 
 
+@pytest.mark.slow
 def test_two_browsers_command_a_flight(tmp_path, browser):
     """Hand-over, a page that is loaded again, a connection that is lost, kill cancelled, landing."""
     with ExitStack() as stack:
@@ -231,6 +232,7 @@ with open_console(folder, Address("127.0.0.1", 0), None) as console:
 """
 
 
+@pytest.mark.slow
 def test_the_go_before_arming_comes_from_who_has_command(tmp_path, browser):
     """Findings are on the page; who reads cannot give the go, a page that stands still neither."""
     root = str(Path(__file__).parents[2])
@@ -278,6 +280,7 @@ def test_the_go_before_arming_comes_from_who_has_command(tmp_path, browser):
     assert "nothing was armed (console 1)" in events
 
 
+@pytest.mark.slow
 def test_the_page_of_a_check_asks_before_parameters_are_set(tmp_path, browser):
     command = [SWARM, "check", "--fix", "--record", "check", "--console", "127.0.0.1:0"]
     (tmp_path / "fleet.yaml").write_text(
@@ -312,6 +315,7 @@ def test_the_page_of_a_check_asks_before_parameters_are_set(tmp_path, browser):
         assert (check.wait(), errors) == (0, [])
 
 
+@pytest.mark.slow
 def test_without_the_token_the_page_asks_for_it(tmp_path, browser):
     with flying_with_console(tmp_path) as (_flight, console):
         address, _, token = console.url.partition("#")

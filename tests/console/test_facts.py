@@ -177,6 +177,7 @@ def test_routine_events_are_left_out_as_on_the_terminal():
     assert (shown["words"], shown["level"]) == ("vehicle 2: silent", "bad")
 
 
+@pytest.mark.slow
 def test_a_flight_says_who_is_missing_when_all_have_landed_and_which_windows_are_open():
     """In virtual time: preparation, a gate, the fold, a hold."""
     flight = Network(small_plan())

@@ -78,6 +78,7 @@ def until(condition):
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_two_clients_command_and_the_end_of_the_flight(tmp_path):
     with opened(tmp_path) as (stack, flight, console):
         anna = Client(stack, console.url)
@@ -113,6 +114,7 @@ def test_two_clients_command_and_the_end_of_the_flight(tmp_path):
             assert client.next("ended")["words"] == "done: landed"
 
 
+@pytest.mark.slow
 def test_hostile_clients_do_not_disturb_the_others(tmp_path):
     """Wrong tokens, garbage, frames that are too large, and a client that never reads."""
     with opened(tmp_path) as (stack, _flight, console):
@@ -147,6 +149,7 @@ def test_hostile_clients_do_not_disturb_the_others(tmp_path):
         assert anna.next("state")["time"] > before
 
 
+@pytest.mark.slow
 def test_a_console_that_hangs_delays_no_flight_and_then_shows_the_present(tmp_path):
     """Its process stands still for five seconds of a flight that goes on; no backlog is drawn."""
     with opened(tmp_path) as (stack, flight, console):
@@ -169,6 +172,7 @@ def test_a_console_that_hangs_delays_no_flight_and_then_shows_the_present(tmp_pa
         assert anna.next("answer")["words"] == "hold it is"
 
 
+@pytest.mark.slow
 def test_the_page_of_another_site_is_refused(tmp_path):
     with opened(tmp_path) as (stack, _flight, console):
         for origin in ("https://elsewhere.example", "null", None):
@@ -187,6 +191,7 @@ def got(url, path="/", **headers):
         connection.close()
 
 
+@pytest.mark.slow
 def test_the_page_comes_from_the_console_alone(tmp_path):
     with opened(tmp_path) as (_stack, _flight, console):
         status, headers, page = got(console.url)
@@ -204,6 +209,7 @@ def test_the_page_comes_from_the_console_alone(tmp_path):
         assert got(console.url, Host="elsewhere.example:80")[0] == 421
 
 
+@pytest.mark.slow
 def test_on_other_addresses_there_is_tls(tmp_path):
     with opened(tmp_path, EVERYWHERE) as (stack, _flight, console):
         assert console.url.startswith("https://")
@@ -219,6 +225,7 @@ def test_on_other_addresses_there_is_tls(tmp_path):
         assert console.message.endswith(f"compare SHA-256 {fingerprint(pem.encode())}")
 
 
+@pytest.mark.slow
 def test_a_console_whose_flight_never_begins_ends_with_its_terminal(tmp_path):
     with open_console(tmp_path, LOOPBACK, None) as console:
         assert got(console.url)[0] == 200

@@ -73,6 +73,7 @@ def moves_apart(flight):
     return contingency is not None and contingency.step is Step.SEPARATE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "vehicle"),
     [
@@ -95,6 +96,7 @@ def test_no_vehicle_but_a_failed_one_leaves_the_fence(in_fold, name, vehicle):
 LOST_LINK = {"kind": "link", "loss": 1.0, "duration": 60.0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("vehicle", "fault"),
     [
@@ -128,6 +130,7 @@ def test_a_failure_while_the_team_moves_apart_moves_no_other_vehicle(apart, vehi
     assert {tuple(contact["vehicles"]) for contact in truth.contacts} <= {(vehicle,)}
 
 
+@pytest.mark.slow
 def test_vehicles_outside_of_the_fence_are_told_but_not_the_failed_one(in_fold):
     flight = in_fold.copy()
     (x, y), _ = flight.emulator.truth().position[1:3, :2]

@@ -285,6 +285,7 @@ def test_responses_are_those_of_the_team_and_no_vehicle_returns_to_launch():
     assert all(kind.responses.irreversible for kind in lost)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_test_and_its_document_has_all_keys():
     settings = FailureTestSettings([BY_NAME["interrupted once"]], ["mixed"], times=1, seed=5)
     (test,), (again,) = (run_failure_tests(PLAN, settings, jobs=1) for _ in range(2))
@@ -402,6 +403,7 @@ def test_a_vehicle_that_left_offboard_mode_returns_where_the_team_must_move_to_l
     assert longest_chord_until_down(flight) < 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", ["up", "both"])
 @pytest.mark.parametrize("team", ["ardupilot", "px4"])
 def test_a_team_that_descends_leaves_no_vehicle_above_it(team, direction):
@@ -490,6 +492,7 @@ def test_a_strand_that_is_caught_while_the_team_descends_is_released(team):
     assert truth.position[:, 2].max() < 0.1
 
 
+@pytest.mark.slow
 def test_a_caught_strand_whose_grippers_do_not_open_keeps_no_team_in_the_air():
     flight = caught_in_a_descent("px4")
     for number in (1, 2, 3):
@@ -518,6 +521,7 @@ finish: unfold
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("team", "height", "length"), [("ardupilot", 2.2, 5.0), ("px4", 10.0, 14.0)]
 )
@@ -644,6 +648,7 @@ def test_obstacles_that_vehicles_or_cable_touch_are_told():
     assert problems("battery low", obstacle_contacts=contacts, detected_after=0.2) == contacts
 
 
+@pytest.mark.slow
 def test_a_team_beside_a_truss_touches_neither_this_nor_a_table():
     """The truss is 0.2 m farther away than the certificate needs, the table below a way."""
     truss = {"name": "truss", "shape": "box", "centre": [-2, -2.55], "size": [8, 0.4], "top": 9.5}
@@ -688,6 +693,7 @@ def test_a_team_of_one_meets_its_failure_cases():
     assert {test.case.name for test in tests if test.passed} == set(names)
 
 
+@pytest.mark.slow
 def test_a_wind_beyond_w_is_a_wind_that_vehicles_can_hold():
     """Its w*, 12 m/s, is of the cable: in 18 m/s, wind and cable take all of their acceleration."""
     path = FIRST_STEPS / "two_carry.yaml"

@@ -75,6 +75,7 @@ def run_two_cases(earlier_results=()):
     return tests, new_results
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_is_continued(tmp_path):
     path = tmp_path / "results.jsonl"
     assert open_results(path, HEADING) == []

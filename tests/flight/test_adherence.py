@@ -62,6 +62,7 @@ def test_errors_count_while_the_cable_is_aloft():
     assert (kept.within, kept.largest) == (True, None)
 
 
+@pytest.mark.slow
 def test_a_recorded_tracking_error_counts_only_where_it_is_shown_again():
     plan = reviewed().plan
     carrying = basis_of(reviewed(), cable=True)

@@ -36,6 +36,7 @@ def commands(flight: Network) -> Counter[tuple[int, int]]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autopilots", [("px4",), ("ardupilot",)], ids="-".join)
 def test_vehicles_that_have_flown_fly_again(autopilots):
     """PX4 is back in offboard mode then, in which it cannot be armed without a stream."""
@@ -148,6 +149,7 @@ def test_a_team_that_wanders_as_simulated_ones_do_flies_to_the_end(monkeypatch):
     assert np.nanmax(error) > 2 * PLAN.plan.mission.vehicles.tracking
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("speed", "word"), [(5.0, None), (1.0, "failed")])
 def test_programs_start_in_real_time_however_fast_flight_time_runs(speed, word):
     """After 100 s of flight time 20 s have passed at five times real time: not too late."""

@@ -38,10 +38,12 @@ def mean_error(trace: Trace) -> float:
     return float(np.sqrt(np.nanmean(errors**2)))
 
 
+@pytest.mark.slow
 def test_the_emulated_drag_fed_forward_lowers_the_tracking_error() -> None:
     assert largest_error(flown("px4", 0.2)) < 0.8 * largest_error(flown("px4", 0.0))
 
 
+@pytest.mark.slow
 def test_the_drag_is_fitted_in_flight_where_the_fleet_file_has_none() -> None:
     """The emulated vehicles have 0.2 1/s, which the fleet file does not state."""
     plan, fleet = planned_overhand().certified(), emulated_fleet(9)
@@ -93,6 +95,7 @@ def test_nan_does_not_reach_the_fit(wrong: str) -> None:
         assert np.isfinite(detector.drag)
 
 
+@pytest.mark.slow
 def test_a_drag_of_the_fleet_file_counts_instead_of_the_fitted_one() -> None:
     fleet = emulated_fleet(4, ("px4", "px4", "px4", "ardupilot"))
     drags = (None, 0.0, 0.5, 0.5)
@@ -116,6 +119,7 @@ def test_a_drag_of_the_fleet_file_counts_instead_of_the_fitted_one() -> None:
         assert found[k] == pytest.approx(expected * state.velocity[k] * [1, 1, 0])
 
 
+@pytest.mark.slow
 def test_an_autopilot_that_adds_no_accelerations_is_sent_none() -> None:
     with_drag, without = flown("ardupilot", 0.2), flown("ardupilot", 0.0)
     np.testing.assert_array_equal(with_drag.position, without.position)

@@ -71,6 +71,7 @@ def test_a_vehicle_that_a_fallen_neighbour_pulls_down_for_a_moment_stays_in_the_
     assert flight.emulator.bodies.crashed.tolist() == [False, True, False]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("autopilot", "seconds"),
     [("ardupilot", 0.4), ("ardupilot", 1.0), ("ardupilot", 3.0), ("px4", 1.0)],

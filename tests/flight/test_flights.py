@@ -25,6 +25,7 @@ def patient_for(seconds: float):
     return fleet.model_copy(update={"limits": fleet.limits.model_copy(update={"hold": seconds})})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autopilots", AUTOPILOTS, ids="-".join)
 def test_a_plan_is_flown_from_the_pads_to_disarming(autopilots):
     flight = network(autopilots)
@@ -77,6 +78,7 @@ def test_ardupilot_gets_no_setpoint_until_it_flies():
     assert flight.emulator.truth().position[:, 2].max() > 0.5
 
 
+@pytest.mark.slow
 def test_arming_is_never_forced_and_no_vehicle_returns_to_launch():
     flight = network(("px4", "ardupilot"))
     flight.run()
@@ -108,6 +110,7 @@ def test_a_hold_without_a_command_becomes_a_landing():
     assert "hold timeout: on hold for 5 s: operator command" in flight.words("failure")
 
 
+@pytest.mark.slow
 def test_rewind_goes_back_to_the_beginning_of_the_fold_and_holds():
     flight = network(no_cable=True)
     start = PLAN.plan.phase("fold").start
@@ -134,6 +137,7 @@ def test_nothing_runs_back_through_a_grip():
     assert flight.conductor.clock.time > before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autopilots", AUTOPILOTS, ids="-".join)
 def test_landing_brings_all_vehicles_straight_down_together(autopilots):
     flight = network(autopilots).in_fold(3.0)
@@ -168,6 +172,7 @@ def test_kill_stops_the_motors():
     assert flight.words("contingency") == ["all motors stopped: killed by the operator"]
 
 
+@pytest.mark.slow
 def test_an_interrupt_holds_and_lands_and_a_second_one_lands_at_once():
     once, twice = network(no_cable=True), network(no_cable=True)
     for flight, times in ((once, 1), (twice, 2)):
@@ -186,6 +191,7 @@ def test_before_arming_an_interrupt_just_ends():
     assert flight.conductor.finished.explanation == "interrupted before anything was armed"
 
 
+@pytest.mark.slow
 def test_one_silent_vehicle_holds_the_team_and_after_t_all_land_as_its_failsafe_does():
     flight = Network(PLAN, patient_for(8.0), no_cable=True).in_fold(1.0)
     since = flight.now
@@ -221,6 +227,7 @@ def test_a_team_whose_packets_stop_holds_and_is_landed_blind():
     assert not flight.emulator.truth().armed.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [0.1, 1.0, 20.0])
 def test_vehicles_that_are_never_received_are_named_after_real_time(speed):
     """A simulated world may run slower or faster: the person who waits does not."""
@@ -235,6 +242,7 @@ def test_vehicles_that_are_never_received_are_named_after_real_time(speed):
     assert flight.conductor.trace().position.shape == (0, 3, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autopilots", AUTOPILOTS[:2], ids="-".join)
 def test_a_vehicle_that_leaves_offboard_is_not_streamed_to_again(autopilots):
     fleet = patient_for(6.0)
@@ -293,12 +301,14 @@ def test_the_ground_station_may_sleep_and_no_setpoint_jumps():
     assert np.linalg.norm(flight.conductor.state.streams.setpoint - was, axis=1).max() < 0.15
 
 
+@pytest.mark.slow
 def test_a_lossy_jittery_link_is_flown_through():
     flight = network(("px4", "ardupilot"), loss=0.2, delay=0.05, jitter=0.1, duplication=0.1)
     outcome = flight.run()
     assert outcome.word == "done", flight.words("failure")
 
 
+@pytest.mark.slow
 def test_a_release_without_acknowledgement_is_sent_again():
     dropped = []
 

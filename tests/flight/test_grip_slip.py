@@ -37,6 +37,7 @@ def flown_on(flight, seconds, *faults):
     return [(e.time - began, e.vehicle) for e in flight.events if "grip slip" in e.message]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slipped", [0, 2])
 def test_a_gripper_that_loses_the_cable_is_detected_and_named(folding, slipped):
     system = folding.conductor.flyers[slipped].system
@@ -45,6 +46,7 @@ def test_a_gripper_that_loses_the_cable_is_detected_and_named(folding, slipped):
     assert after < 2.0
 
 
+@pytest.mark.slow
 def test_neither_the_fold_nor_a_gale_nor_lost_packets_look_like_it(folding):
     assert not flown_on(folding, 6.0)
     assert not flown_on(folding, 4.0, {"kind": "wind", "steady": [5.0, 3.0, 0.0], "gust": 0.5})

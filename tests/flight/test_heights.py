@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pytest
 
 from swarm.mavlink import vehicle as vehicle_module
 from swarm.mission.fleet import emulated_fleet
@@ -17,6 +18,7 @@ def flown_to_the_line(**options) -> Network:
     return flight
 
 
+@pytest.mark.slow
 def test_heights_that_agree_are_reported_and_the_fold_begins():
     flight = flown_to_the_line()
     flight.until_phase("fold", 0.5)

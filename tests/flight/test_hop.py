@@ -52,6 +52,7 @@ def apart(trace: Trace) -> float:
     return float(np.nanmin(np.linalg.norm(level, axis=2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 def test_vehicles_that_wander_are_measured_for_the_whole_time(autopilot: str) -> None:
     result = flown(LIKE_SIH, autopilot)
@@ -78,6 +79,7 @@ def test_the_emulator_wanders_as_px4_was_recorded_to() -> None:
     assert 0.05 <= np.mean([one.up.rms for one in measured]) <= 0.14
 
 
+@pytest.mark.slow
 def test_a_team_that_hovers_well_may_fly_the_plan() -> None:
     result = flown(0.0)
     assert {finding.severity for finding in hover_findings(result.trace, PLAN)} == {"info"}

@@ -133,6 +133,7 @@ EACH_KIND = {(1, 2, 3, 4), (1, 2, 4, 3), (2, 1, 4, 3), (1, 3, 4, 2), (2, 3, 4, 1
 """No exchange, of two bodies, of two and two, in a ring of three and of four."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "bodies",
     [
@@ -149,6 +150,7 @@ def test_every_exchange_is_found(bodies):
     assert (errors == []) == (bodies == (1, 2, 3, 4))
 
 
+@pytest.mark.slow
 @settings(max_examples=12, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(
     st.permutations([1, 2, 3]), st.floats(0.0, 0.005), st.floats(0.0, 0.4), st.floats(-0.3, 0.3),
@@ -191,6 +193,7 @@ def world_about(degrees):
 HALF = Rotation.from_euler("X", 180, degrees=True).as_matrix()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("look", "words"),
     [

@@ -268,6 +268,7 @@ def processes(port: int, *kinds: str) -> Iterator[None]:
             one.communicate()
 
 
+@pytest.mark.slow
 def test_two_emulators_on_one_port_are_refused_by_the_check_in_seconds(tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))

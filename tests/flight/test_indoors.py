@@ -7,6 +7,7 @@ from swarm.mission.fleet import emulated_fleet
 from tests.network import Network, small_plan
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "autopilots", [("px4",), ("ardupilot",), ("px4", "ardupilot")], ids="-".join
 )

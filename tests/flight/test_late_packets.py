@@ -29,6 +29,7 @@ def test_copies_that_come_late_change_no_flight(lateness):
     assert (outcome.word, flight.words("rebooted"), flight.words("failure")) == ("done", [], [])
 
 
+@pytest.mark.slow
 def test_delays_do_not_enlarge_the_tracking_error():
     _, _, alone = flown()
     outcome, _, delayed = flown(late=0.15, lateness=0.12)

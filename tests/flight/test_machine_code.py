@@ -134,6 +134,7 @@ assert not late, late
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "how",
     [
@@ -251,6 +252,7 @@ def run_prepare(folder: Path, script: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_functions_are_compiled_beside_each_other_and_once(tmp_path):
     done = run_prepare(tmp_path, PREPARE)
     assert done.returncode == 0, done.stderr

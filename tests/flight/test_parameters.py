@@ -171,6 +171,7 @@ def test_how_vehicles_coast_is_read_from_their_parameters():
     assert stream_loss_model([("px4", {})] * 3, limits) == StreamLossModel(silence=limits.silence)
 
 
+@pytest.mark.slow
 def test_a_team_of_which_some_would_land_and_others_hold_is_refused():
     flight_plan = small_plan()
     plan = flight_plan.plan

@@ -161,6 +161,7 @@ CHECKS: dict[End, Callable[[FlightState, Cell], None]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FailureKind)
 def test_the_team_responds_as_every_cell_of_the_table_says(folding, kind):
     for cell in cells(kind):

@@ -244,6 +244,7 @@ QUICK = settings(
 )
 
 
+@pytest.mark.slow
 def test_a_flight_stays_safe_and_ends_whatever_happens():
     run_state_machine_as_test(Flights, settings=QUICK)
 

@@ -42,6 +42,7 @@ def test_a_team_with_corrections_waits_until_all_receivers_use_them():
     assert fixed + STANDING_TIME < flight.now < fixed + STANDING_TIME + 2.0
 
 
+@pytest.mark.slow
 def test_a_receiver_that_never_uses_the_corrections_is_named():
     flight = corrected()
     while flight.conductor.finished is None:

@@ -91,6 +91,7 @@ def taken_up(flight, left, then):
     return flight
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "autopilots",
     [
@@ -118,6 +119,7 @@ def test_a_flight_goes_on_where_it_broke_off(autopilots):
     assert not truth.gripped.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("then", "ends"),
     [
@@ -141,6 +143,7 @@ def test_the_operator_may_say_what_follows(then, ends):
     assert truth.gripped.all() == (then == "land")
 
 
+@pytest.mark.slow
 def test_without_a_word_from_the_operator_the_team_holds_and_then_lands():
     flight, left = broken_off(("px4",), 3.0, 3.0)
     flight.fleet = flight.fleet.model_copy(
@@ -154,6 +157,7 @@ def test_without_a_word_from_the_operator_the_team_holds_and_then_lands():
     assert not flight.emulator.truth().armed.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autopilots", [("px4",), ("ardupilot",)], ids="-".join)
 def test_a_flight_without_cable_is_resumed_without_cable(autopilots):
     """Its vehicles lean as vehicles without cable do, and no gripper has lost anything."""
@@ -171,6 +175,7 @@ def test_a_flight_without_cable_is_resumed_without_cable(autopilots):
     )
 
 
+@pytest.mark.slow
 def test_a_resumed_flight_is_replayed_in_the_frames_of_its_record():
     """It begins in mid-air, where no log tells on which pads vehicles stood."""
     flight, left = broken_off(("px4",), 3.0, 3.0)

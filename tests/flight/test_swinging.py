@@ -192,6 +192,7 @@ def test_strands_may_swing_as_far_as_tube_and_budget_say():
     assert allowed_swing(exact, tube, times) == pytest.approx(radius)
 
 
+@pytest.mark.slow
 def test_a_flight_records_the_swing_while_the_cable_is_aloft():
     flown = Network(small_plan(vehicles=4)).in_fold(1.0)
     shown = flown.conductor.snapshot(flown.now)

@@ -55,6 +55,7 @@ def flown():
     return as_tlog(entries), flight, fleet
 
 
+@pytest.mark.slow
 def test_positions_setpoints_clock_and_phases_come_back(flown):
     data, flight, fleet = flown
     again, known = replay(data, PLAN.plan, fleet), flight.conductor.trace()
@@ -82,6 +83,7 @@ def test_positions_setpoints_clock_and_phases_come_back(flown):
     assert list(dict.fromkeys(again.trace.phase))[-2:] == ["finish", "land"]
 
 
+@pytest.mark.slow
 def test_what_others_aboard_say_is_not_replayed_as_the_vehicles(flown):
     data, _, fleet = flown
     alone = [(now - BEGAN, packet) for now, packet in packets(data)]
@@ -99,6 +101,7 @@ def test_what_others_aboard_say_is_not_replayed_as_the_vehicles(flown):
     assert (plain.commands, plain.received, plain.lost) == (loud.commands, loud.received, loud.lost)
 
 
+@pytest.mark.slow
 def test_reports_that_are_read_late_stand_at_the_time_of_their_measurement(flown):
     data, _, fleet = flown
     trace = replay(data, PLAN.plan, fleet).trace
@@ -136,6 +139,7 @@ def test_without_a_vehicles_clock_reports_stand_where_they_were_read(boot):
     assert measurement_times(read.tolist(), boot.tolist()).tolist() == read.tolist()
 
 
+@pytest.mark.slow
 def test_commands_and_losses_are_counted(flown):
     data, flight, fleet = flown
     again = replay(data, PLAN.plan, fleet)
@@ -148,6 +152,7 @@ def test_commands_and_losses_are_counted(flown):
         assert 0 <= again.received[vehicle.system] - vehicle.packets < 30
 
 
+@pytest.mark.slow
 def test_a_log_that_was_cut_off_anywhere_is_read_to_there(flown):
     data, _, fleet = flown
     for share in (0.6, 0.8):
@@ -159,6 +164,7 @@ def test_a_log_that_was_cut_off_anywhere_is_read_to_there(flown):
         assert again.trace.phase[:rows] == whole.trace.phase[:rows]
 
 
+@pytest.mark.slow
 def test_a_hole_in_the_log_costs_what_was_in_it(flown):
     data, _, fleet = flown
     middle = len(data) // 2
@@ -200,6 +206,7 @@ def test_losses_show():
     assert again.lost[1] == again.lost[3] == 0
 
 
+@pytest.mark.slow
 def test_nine_vehicles_with_nine_origins_headings_heights_and_clocks_keep_the_cable_whole():
     flight_plan = small_plan(vehicles=9)
     flight = Network(flight_plan, emulated_fleet(9, ("px4", "ardupilot")))

@@ -74,6 +74,7 @@ def test_the_team_and_the_operator_react_to_faults_in_virtual_time(tmp_path):
     assert rows[2][1:] == ("not begun", "", "", "")
 
 
+@pytest.mark.slow
 def test_json_has_digest_faults_and_reaction_times(tmp_path):
     result = flown(tmp_path, [(26.0, "hold")])
     document = json.loads(json.dumps(training_object(result.training, result.events)))

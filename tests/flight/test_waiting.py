@@ -16,6 +16,7 @@ def shown(flight):
     return flight.conductor.snapshot(flight.now)
 
 
+@pytest.mark.slow
 def test_every_wait_of_a_flight_is_a_sentence_with_its_gate_and_the_time_left():
     flight = network(no_cable=False)
     waits, left = {}, []

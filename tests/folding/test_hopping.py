@@ -19,6 +19,7 @@ from swarm.planning.foldings import (
 from tests.folding.test_optimizer import band, led_over
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("knot", "rank"), [("8_20", 0), ("6_3", 2)])
 def test_openings_with_a_local_minimum_fold(knot: str, rank: int) -> None:
     """Without a hop these miss 0.75 and 1.3 units of their margins."""

@@ -69,6 +69,7 @@ def quadrature_oracle(span: float, rise: float, length: float, guess: Catenaries
     return a, lambda fraction: reach(a, -slope * a, length * mpmath.mpf(fraction))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("span", "rise", "length"), SHAPES)
 def test_shape_and_tension_match_quadrature(span: float, rise: float, length: float) -> None:
     strand = solve_catenaries([0.0, 0.0, 0.0], [span, 0.0, rise], length)

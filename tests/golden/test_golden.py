@@ -30,6 +30,7 @@ def test_it_is_what_it_was(case):
     assert case.check() == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case", [case for case in FAILURES if case.quick], ids=lambda case: case.name
 )

@@ -35,6 +35,7 @@ from tests.command import run
 from tests.network import small_plan
 
 
+@pytest.mark.slow
 def test_parameters_are_checked_set_and_restored(tmp_path):
     fleet = emulated_fleet(3, ("px4", "ardupilot"))
     shown = []
@@ -95,6 +96,7 @@ class Screen:
         return [item for item in self.items if isinstance(item, kind)]
 
 
+@pytest.mark.slow
 def test_a_screen_sees_a_check_and_answers_its_question(tmp_path):
     """The progress, each vehicle's state and what is wrong, the question of --fix, the result."""
     screens = CheckScreens(tmp_path / "control")
@@ -179,6 +181,7 @@ def test_a_console_of_a_check_has_no_hop():
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_flight_with_autopilot_defaults_is_refused_by_the_audit(tmp_path):
     snapshots = []
     result = fly(
@@ -237,6 +240,7 @@ def test_gaps_beyond_the_stream_timeout_are_errors():
     assert len(LinkQuality(3, 12.0, 0.2, 0.0, 0.05).findings(0.5)) == 1
 
 
+@pytest.mark.slow
 def test_parameters_are_requested_once_and_progress_is_reported(tmp_path, monkeypatch):
     requests: Counter[tuple[int, int]] = Counter()
     send = Links.send
@@ -271,6 +275,7 @@ def test_parameters_are_requested_once_and_progress_is_reported(tmp_path, monkey
     assert all(0.0 <= share <= 1.0 for _, share in reported)
 
 
+@pytest.mark.slow
 def test_a_parameter_that_is_not_set_is_named_with_its_value(tmp_path):
     saved = tmp_path / "parameters" / "1.json"
     saved.parent.mkdir()
@@ -280,6 +285,7 @@ def test_a_parameter_that_is_not_set_is_named_with_its_value(tmp_path):
     assert str(error.value) == "system 1: COM_OBL_RC_ACT was set to 0.5, but is 0"
 
 
+@pytest.mark.slow
 def test_progress_is_shown_on_a_terminal(tmp_path):
     code = "from swarm.cli.main import main; main()"
     program = ["-c", code, "check", "--record", str(tmp_path)]
@@ -291,6 +297,7 @@ def test_progress_is_shown_on_a_terminal(tmp_path):
     assert terminal.exitstatus == 0  # the default fleet is ready
 
 
+@pytest.mark.slow
 def test_the_default_fleet_is_go_for_a_plan(tmp_path):
     plan, shown = small_plan(), []
     options = CheckOptions(prepared=True, progress=lambda words, _: shown.append(words))
@@ -320,6 +327,7 @@ def test_a_vehicle_whose_parameters_were_not_all_read_is_no_go(tmp_path):
 FENCED = "workspace.fence=[[-30, -30], [30, -30], [30, 30], [-30, 30]]"
 
 
+@pytest.mark.slow
 def test_the_missions_fence_is_uploaded_and_the_one_before_restored(tmp_path):
     fleet, plan = emulated_fleet(3, ("px4", "ardupilot")), small_plan(FENCED)
     report = check(fleet, tmp_path / "first", plan, CheckOptions(prepared=True))
@@ -354,6 +362,7 @@ def fence_messages(report):
     return [finding.message for finding in report.findings if finding.check == "fence"]
 
 
+@pytest.mark.slow
 def test_a_fence_that_cannot_be_uploaded_is_no_go_in_words(tmp_path):
     fleet, options = emulated_fleet(2), CheckOptions(fence=True, prepared=True)
     (message,) = unfenced(check(fleet, tmp_path, small_plan(vehicles=2), options))

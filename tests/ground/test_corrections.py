@@ -172,6 +172,7 @@ def test_corrections_come_from_a_caster(version):
     assert int(sentence[-2:], 16) == check
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("version", "place", "problem"),
     [

@@ -62,6 +62,7 @@ def flown_by_a_slow_caller(folder):
     return result, len(shown), audits, (nice, helper_niceness()), in_order
 
 
+@pytest.mark.slow
 def test_a_slow_caller_does_not_delay_the_flight(tmp_path):
     """In a process of its own: not every user may raise a priority again."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
@@ -75,6 +76,7 @@ def test_a_slow_caller_does_not_delay_the_flight(tmp_path):
     assert in_order
 
 
+@pytest.mark.slow
 def test_a_flight_that_is_not_confirmed_is_refused(tmp_path):
     flight = FlightRequest(
         FLIGHT_PLAN, emulated_fleet(3), tmp_path / "record", FlyOptions(speed=8.0), confirm=True
@@ -116,12 +118,14 @@ def asking_caller(folder):
     return result
 
 
+@pytest.mark.slow
 def test_a_screen_answers_in_the_place_of_the_caller(tmp_path):
     result = asking_caller(tmp_path / "record")
     assert result.outcome.word == "done", result.events[-5:]
     assert any(event.message.startswith("go by Anna: arms 3") for event in result.events)
 
 
+@pytest.mark.slow
 def test_errors_are_passed_on_unchanged(tmp_path):
     (tmp_path / "flight.tlog").write_text("")
     with pytest.raises(InputError, match="holds the record of a flight"):

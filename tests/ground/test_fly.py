@@ -51,6 +51,7 @@ def flown(tmp_path_factory):
     return result, snapshots, events, station
 
 
+@pytest.mark.slow
 def test_a_flight_over_udp_succeeds(flown):
     result, snapshots, events, _ = flown
     assert result.outcome.word == "done", [event.message for event in events[-10:]]
@@ -59,6 +60,7 @@ def test_a_flight_over_udp_succeeds(flown):
     assert {snapshot.phase for snapshot in snapshots} >= {"takeoff", "fold", "land"}
 
 
+@pytest.mark.slow
 def test_the_figures_of_a_flight_are_those_that_its_verification_finds(flown):
     result = flown[0]
     verified = verify_record(result.record)
@@ -67,6 +69,7 @@ def test_the_figures_of_a_flight_are_those_that_its_verification_finds(flown):
     assert largest_stray(result.trace).estimated > 0.0
 
 
+@pytest.mark.slow
 def test_its_record_is_complete(flown):
     result, _, events, _ = flown
     folder = result.record
@@ -91,6 +94,7 @@ def test_its_record_is_complete(flown):
         assert trace["position"].shape == result.trace.position.shape
 
 
+@pytest.mark.slow
 def test_a_foreign_station_sees_every_vehicle_and_commands_none(flown):
     result, _, _, station = flown
     for system in (1, 2, 3):
@@ -108,6 +112,7 @@ def test_a_foreign_station_sees_every_vehicle_and_commands_none(flown):
     log.close()
 
 
+@pytest.mark.slow
 def test_an_emulator_that_dies_is_a_vehicle_error(tmp_path):
     killers = []
 
@@ -151,6 +156,7 @@ def started(folder: Path, speed: float = SPEED) -> subprocess.Popen:
     return process
 
 
+@pytest.mark.slow
 def test_after_sigkill_only_the_last_second_of_the_record_is_missing(tmp_path):
     folder = tmp_path / "record"
     speed = 4.0  # real time is measured: no more than a busy machine keeps up with
@@ -174,6 +180,7 @@ def test_after_sigkill_only_the_last_second_of_the_record_is_missing(tmp_path):
     assert verify_trace(plan, again.trace).knot in {"unknown", "0_1"}
 
 
+@pytest.mark.slow
 def test_a_disk_that_becomes_full_in_flight_damages_the_record_only(tmp_path):
     # the limit of file sizes simulates a full disk: writing fails beyond it
     limited = (
@@ -197,6 +204,7 @@ def test_a_disk_that_becomes_full_in_flight_damages_the_record_only(tmp_path):
     assert "takeoff" in recorded_flight(folder, plan).trace.phase
 
 
+@pytest.mark.slow
 def test_ctrl_c_lands_the_team_and_exits_with_130(tmp_path):
     process = started(tmp_path / "record")
     process.send_signal(signal.SIGINT)

@@ -27,6 +27,7 @@ vehicles:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_real_time")
 def test_a_hop_reports_hover_errors_and_the_tracking_error_to_plan_with(tmp_path):
     console = Console(file=io.StringIO(), width=100)

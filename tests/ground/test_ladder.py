@@ -92,6 +92,7 @@ def as_real(folder):
     (folder / "versions.json").write_text(json.dumps({**facts, "world_start": None}))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_real_time")
 def test_a_record_passes_its_step_until_it_does_not_verify_any_more(flown):
     assert enter(verify_record(flown)) is None
@@ -137,6 +138,7 @@ def with_errors(verified, phase, vehicle, largest):
     return replace(verified, verification=replace(verified.verification, tracking=(*others, *new)))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_real_time")
 def test_a_hop_far_off_its_setpoints_is_not_passed(tmp_path):
     plan, folder = small_plan("vehicles.tracking=0.25"), tmp_path / "hop"
@@ -150,6 +152,7 @@ def test_a_hop_far_off_its_setpoints_is_not_passed(tmp_path):
     assert enter(passed).step == "hop"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_real_time")
 def test_skipped_steps_are_in_record_and_report(flown):
     words = "flown with --skip-step; first tests not passed: hop, carry"

@@ -122,6 +122,7 @@ def content(seed: int, size: int) -> bytes:
     return random.Random(seed).randbytes(size)
 
 
+@pytest.mark.slow
 def test_the_newest_log_arrives_whole_over_a_lossy_link(tmp_path):
     new, other = content(1, 20_011), content(2, 9_000)
     first = {"autopilot": PX4, "logs": {0: (NEW, new), 1: (OLD, content(3, 500))}, "loses": 100}
@@ -150,6 +151,7 @@ def test_the_newest_log_arrives_whole_over_a_lossy_link(tmp_path):
     assert of_first[-1] == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_a_download_that_stops_is_reported_with_its_progress(tmp_path):
     with team(
         {"autopilot": PX4, "logs": {0: (NEW, content(1, 300_000))}, "stops": 600},
@@ -210,6 +212,7 @@ def test_callbacks_are_kept_until_mavsdk_is_destroyed(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_the_command_reports_missing_logs_with_exit_code_3(tmp_path):
     result = CliRunner().invoke(check, ["--logs", str(tmp_path), "--json"], catch_exceptions=False)
     assert result.exit_code == 3

@@ -42,6 +42,7 @@ def killing(number: int, most: int = 100) -> Iterator[set[int]]:
         killer.join()
 
 
+@pytest.mark.slow
 def test_a_crash_is_followed_by_another_attempt(tmp_path):
     with killing(signal.SIGSEGV, most=2) as killed:
         report = check(emulated_fleet(2, ("px4", "ardupilot")), tmp_path)
@@ -49,6 +50,7 @@ def test_a_crash_is_followed_by_another_attempt(tmp_path):
     assert [one.firmware for one in report.vehicles] == ["PX4 1.16.0", "ArduPilot 4.6.2"]
 
 
+@pytest.mark.slow
 def test_crashes_in_every_attempt_end_the_command_with_exit_code_3(tmp_path):
     with killing(signal.SIGSEGV) as killed:
         result = run("check", "--record", str(tmp_path), "--json")
@@ -61,6 +63,7 @@ def test_crashes_in_every_attempt_end_the_command_with_exit_code_3(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_crashes_refuse_a_flight_and_leave_its_record(tmp_path):
     with killing(signal.SIGABRT):
         result = fly(small_plan(), emulated_fleet(3), tmp_path / "record", FlyOptions(audit=True))
@@ -71,6 +74,7 @@ def test_crashes_refuse_a_flight_and_leave_its_record(tmp_path):
     assert (tmp_path / "record" / "flight.tlog").stat().st_size > 0
 
 
+@pytest.mark.slow
 def test_a_process_that_hangs_is_ended_in_time():
     with (
         killing(signal.SIGSTOP) as stopped,
@@ -82,6 +86,7 @@ def test_a_process_that_hangs_is_ended_in_time():
     assert children("mavsdk_child") == []
 
 
+@pytest.mark.slow
 def test_a_crash_in_one_vehicles_log_does_not_affect_the_others(tmp_path):
     large = {"autopilot": PX4, "logs": {0: (NEW, content(1, 400_000))}}
     small = {"autopilot": PX4, "logs": {0: (NEW, content(2, 900))}}

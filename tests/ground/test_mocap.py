@@ -345,6 +345,7 @@ def test_a_capture_that_begins_anew_is_followed_and_stops_nothing():
     assert np.abs(forwards).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_clocks_that_part_for_hours_leave_stamps_as_they_are():
     """A capture whose clock is 50 ppm slow, over eight hours, with a delay of up to 20 ms."""
     rng = np.random.default_rng(1)

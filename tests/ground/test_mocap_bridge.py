@@ -145,6 +145,7 @@ def laboratory(tmp_path):
     made.close()
 
 
+@pytest.mark.slow
 def test_poses_outlive_ground_stations_that_borrow_the_links(laboratory):
     first, second = laboratory.vehicles
     laboratory.poses_come()
@@ -452,6 +453,7 @@ def test_a_script_gets_a_line_a_second(capsys):
     assert words == {"event": "words"}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_real_time")
 def test_a_check_says_what_each_vehicle_gets(tmp_path, capsys):
     """Two emulated vehicles in a world of its own; the body of the second one is frozen."""

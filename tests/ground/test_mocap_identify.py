@@ -75,6 +75,7 @@ def capture(error, vehicle=2, more=""):
     return f"{{at: 0.5, kind: capture, vehicle: {vehicle}, error: {error}{more}}}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 def test_every_vehicle_has_its_own_body(autopilot):
     said, found = identified(autopilot=autopilot)
@@ -82,6 +83,7 @@ def test_every_vehicle_has_its_own_body(autopilot):
     assert found == [GOOD.format(k) for k in (1, 2, 3)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("error", "words"),
     [
@@ -118,6 +120,7 @@ def test_screens_name_the_vehicle_to_move_and_what_was_seen_of_the_others():
     }
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_real_time")
 def test_the_command_guides_and_records(tmp_path):
     """Two vehicles in a world of their own, which somebody moves in turn, over UDP."""

@@ -42,6 +42,7 @@ def free_port():
         return str(one.getsockname()[1])
 
 
+@pytest.mark.slow
 def test_after_sigkill_in_the_fold_the_team_is_found_and_the_flight_continues(tmp_path):
     port, record, clock = free_port(), tmp_path / "record", str(tmp_path / "clock.bin")
     world = emulated_world(

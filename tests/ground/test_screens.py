@@ -49,6 +49,7 @@ def words(flight, tasks):
     return [event.message for event in (*flight.events, *tasks.events)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("policy", "end"),
     [("hold", "interrupted"), ("land", "interrupted"), ("fly-on", "done")],
@@ -66,6 +67,7 @@ def test_a_team_without_a_screen_does_what_was_chosen(alone, policy, end):
     assert len(landing) == (policy != "fly-on"), words(flight, tasks)
 
 
+@pytest.mark.slow
 def test_who_attaches_again_may_resume(alone):
     flight, tasks, caller = alone("hold")
     flight.until_phase("fold", after=1.0)
@@ -240,6 +242,7 @@ class Terminal:
         os.waitpid(self.process, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_real_time")
 def test_a_closed_terminal_and_another_that_attaches(tmp_path):
     """The window is closed in mid-air; the team holds; the next terminal resumes, and sees it land."""
@@ -326,6 +329,7 @@ def test_another_account_attaches_to_a_shared_flight():
             assert words in events, words
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_real_time")
 def test_a_closed_pipe_ends_the_screen_and_not_the_flight(tmp_path):
     hover = str(ROOT / "missions" / "first-steps" / "hover.yaml")

@@ -26,6 +26,7 @@ spread: {failing: 0.0}
 """
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_real_time")
 def test_a_training_flight_from_command_to_report(tmp_path):
     path, folder = tmp_path / "lost.yaml", tmp_path / "flight"

@@ -63,6 +63,7 @@ def test_a_world_that_has_ended_does_not_stop_the_flight(tmp_path, wall):
     clock.close()
 
 
+@pytest.mark.slow
 def test_a_world_waits_for_its_ground_station_but_not_for_a_dead_one(tmp_path):
     """It stands still at the time up to which it may go on, for two seconds of real time."""
     world = bare_world(emulated_fleet(1))

@@ -33,6 +33,7 @@ def test_common_names_are_known_however_their_words_are_joined(name, knot):
     assert lookup_knot(name).name == knot
 
 
+@pytest.mark.slow
 def test_the_table_is_all_of_knotinfos_to_ten_crossings() -> None:
     assert list(table_names()) == [
         name for name, row in knotinfo().items() if int(row["crossing_number"]) <= 10
@@ -59,6 +60,7 @@ def test_the_convention_of_chirality_holds_for_the_table() -> None:
         assert hand == 0 if not knot.chiral else hand >= 0
 
 
+@pytest.mark.slow
 def test_every_grid_of_the_table_is_its_knot_and_can_be_opened() -> None:
     for knot in knot_table().values():
         known = identify_diagram(Diagram(knot.grid.code))

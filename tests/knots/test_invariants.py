@@ -211,6 +211,7 @@ def test_sums_are_split() -> None:
     assert (granny.name, granny.chirality) == ("3_1#3_1", "left")
 
 
+@pytest.mark.slow
 def test_knots_outside_the_table_are_unknown() -> None:
     for name in list(knotinfo())[249:][::23]:
         known = identify_diagram(diagram_of_pd(of_knotinfo(name, "pd_notation")))

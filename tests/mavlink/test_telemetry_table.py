@@ -78,6 +78,7 @@ def state(team):
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=120, deadline=None)
 @given(
     st.lists(

@@ -52,6 +52,7 @@ def test_an_older_plan_is_the_same_plan(name, older):
     assert digest(load_plan(older / f"{name}.plan")) == DIGESTS[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pass_over", "overhand_five"])
 def test_an_older_plan_file_is_certified_anew(name, older):
     path = str(older / f"{name}.plan")
@@ -72,6 +73,7 @@ def test_an_older_plan_file_is_certified_anew(name, older):
         assert planned.assessment.chirality == before["chirality"]
 
 
+@pytest.mark.slow
 def test_an_older_record_is_verified_with_the_same_figures(older):
     said = run("verify", str(older / "record"), "--plan", str(older / "pass_over.plan"), "--json")
     now, before = json.loads(said.stdout), printed(older, "verify")
@@ -123,6 +125,7 @@ COMMANDS = {
 _LONG = ("fly", "check", "rope")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[pytest.mark.full] * (n in _LONG)) for n in COMMANDS]
 )

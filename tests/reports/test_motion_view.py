@@ -209,6 +209,7 @@ def looked_at(file: Path, folder: Path) -> dict[str, Any]:
     return seen
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(BROWSER is None, reason="needs a Chromium to look with")
 @pytest.mark.parametrize("width", [390, pytest.param(1280, marks=pytest.mark.full)])
 @pytest.mark.parametrize("made", [cleared_plan_report, made_flight_report])

@@ -103,6 +103,7 @@ def outcome(**changed: Any) -> dict[str, Any]:
     }
 
 
+@pytest.mark.slow
 def test_the_plan_report_has_verdict_and_findings() -> None:
     remark = Finding("info", "scope", "from <contract> to hold")
     refused = assessment(remark, Finding("error", "taut", "segment 2 is over-stretched", 51.3))
@@ -116,6 +117,7 @@ def test_the_plan_report_has_verdict_and_findings() -> None:
     assert "Certified in the quasi-static cable model. Not certified: swing, gusts, rotor" in words
 
 
+@pytest.mark.slow
 def test_the_plan_report_has_pictures_above_findings_and_tables_of_moments_and_budget() -> None:
     warning = Finding("warning", "swing", "swings")
     tight = Finding("info", "tightest", "1. vehicle clearance: as a sentence")
@@ -142,6 +144,7 @@ def test_the_plan_report_has_pictures_above_findings_and_tables_of_moments_and_b
     )
 
 
+@pytest.mark.slow
 def test_reports_load_no_other_file() -> None:
     for source in (cleared_plan_report(), made_flight_report()):
         read = Reader(source)
@@ -184,6 +187,7 @@ def test_a_flight_outside_its_certificate_is_not_green() -> None:
     assert 'class="verdict good"' not in source
 
 
+@pytest.mark.slow
 def test_a_failed_flight_is_not_green() -> None:
     source = made_flight_report(outcome="failed", explanation="vehicle 4: no answer")
     assert 'class="verdict bad"' in source
@@ -314,6 +318,7 @@ srcdoc="%s"></iframe><script>addEventListener("load", () => {
       (e) => e.scrollWidth > e.clientWidth + 1).length }) })</script>"""
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(BROWSER is None, reason="needs a Chromium to look with")
 @pytest.mark.parametrize("width", [360, pytest.param(1000, marks=pytest.mark.full)])
 def test_a_browser_shows_every_report_without_sideways_scrolling(
@@ -351,6 +356,7 @@ def test_the_trials_page_has_units_and_a_command_to_paste() -> None:
     assert f"To repeat the worst: {command} --recording trial.rrd" in words
 
 
+@pytest.mark.slow
 def test_one_value_is_rounded_down_in_one_way() -> None:
     """A plan's page, its terminal text and its sheet state the same e*, w* and distances."""
     found = assessment()

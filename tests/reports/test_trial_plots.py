@@ -1,6 +1,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from swarm.reports import study_plots
 from tests.reports.test_plots import ink_at
@@ -57,6 +58,7 @@ def test_a_distance_that_no_trial_has_has_no_picture() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_the_upper_strand_of_a_rope_covers_the_lower() -> None:
     along = np.linspace(-1.0, 1.0, 41)
     first = np.column_stack([along, 0 * along, 0 * along])

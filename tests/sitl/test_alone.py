@@ -37,6 +37,7 @@ def texts(seen):
     return {re.sub(r"[\d.]+", "#", text) for text in found}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "row"),
     [

@@ -286,6 +286,7 @@ def test_simulation_parameters_of_ardupilot() -> None:
     assert ground.emulator.bodies.health[0] == 0.5
 
 
+@pytest.mark.slow
 def test_every_kind_of_fault_starts_and_ends_in_flight() -> None:
     cable = "{points: [[0, 0, 0], [3.6, 0, 0]]}"
     for k, kind in enumerate(KINDS):

@@ -89,6 +89,7 @@ class Pilot:
         return float(self.telemetry.position_velocity_ned().position.north_m)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 def test_mavsdk_flies_nine_at_once(autopilot: str) -> None:
     """Discovery, health, setup, take-off, two moves, hold; landing, return, failure, kill."""
@@ -195,6 +196,7 @@ def _is_px4(pilot: Pilot) -> bool:
         return False
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not importlib.util.find_spec("MAVProxy") or not importlib.util.find_spec("pexpect"),
     reason="MAVProxy and pexpect are not installed",

@@ -1,6 +1,7 @@
 """The emulator and the ground station together, judged by ground truth."""
 
 import numpy as np
+import pytest
 
 from sitl import Emulator
 from swarm.flight.conductor import Conductor
@@ -10,6 +11,7 @@ from swarm.simulation.loop import Callbacks, simulate_flight
 from tests.network import small_plan
 
 
+@pytest.mark.slow
 def test_true_positions_follow_the_plan() -> None:
     """Origins are some 30 m away, in each autopilot's local metres: 0.3 % of that is 9 cm."""
     flight_plan = small_plan()

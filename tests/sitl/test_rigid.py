@@ -100,6 +100,7 @@ def test_accelerometers_measure_a_touchdown(speed, share):
     assert largest < 16.0 * GRAVITY
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(
     st.tuples(*[st.floats(-0.5, 0.5)] * 3), st.tuples(*[st.floats(-0.5, 0.5)] * 2),

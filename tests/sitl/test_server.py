@@ -161,6 +161,7 @@ def test_invalid_files_and_usage_give_exit_code_2(
         assert error in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_ports_of_the_real_simulators() -> None:
     with running("-n", "12", "--autopilot", "px4") as (_, ready):
         ports = [int(one["udp_to"].split(":")[1]) for one in ready["vehicles"]]

@@ -160,6 +160,7 @@ def test_wash_presses_down_all_but_the_holders_own_spans() -> None:
     assert after[0] == pytest.approx(before[0], abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_team_ties_a_knot_in_it() -> None:
     plan = small_plan()
     fleet = emulated_fleet(plan.plan.vehicles, cable="swinging")

@@ -151,6 +151,7 @@ VALUES = st.recursive(
 WORLD = default_world(2).model_dump(mode="json", by_alias=True)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(key=st.sampled_from(sorted(WORLD)), value=VALUES)
 def test_random_worlds_are_read_or_refused_with_a_message(key: str, value: object) -> None:

@@ -107,6 +107,7 @@ def test_sinks_have_a_low_priority_and_ignore_the_interrupt_of_the_flight(
         viewer.close(timeout=5.0)
 
 
+@pytest.mark.slow
 def test_without_a_display_the_recording_is_written_and_a_message_explains_it(
     plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -136,6 +137,7 @@ def test_a_file_that_cannot_be_written_is_an_error_at_the_start(plan: Plan, tmp_
         start(plan, path, None)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads Linux's table of sockets")
 def test_the_page_is_served_on_loopback_only_and_ends_with_the_flight(
     plan: Plan, tmp_path: Path

@@ -92,6 +92,7 @@ def read_json(path: Path, topic: str) -> list[dict]:
         return [json.loads(m.data) for _, _, m in make_reader(file).iter_messages(topics=[topic])]
 
 
+@pytest.mark.slow
 def test_viewers_that_come_late_see_the_flight_and_the_record_keeps_all(tmp_path: Path) -> None:
     viewer = start(PLAN, tmp_path / "flight.rrd", "foxglove")
     url = viewer.message.removeprefix("live view: open connection ").removesuffix(" in Foxglove")
@@ -120,6 +121,7 @@ def test_viewers_that_come_late_see_the_flight_and_the_record_keeps_all(tmp_path
     assert all(state in later for state in seen), "what was seen is kept, in the same order"
 
 
+@pytest.mark.slow
 def test_the_record_is_kept_where_the_port_is_taken(tmp_path: Path, monkeypatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         monkeypatch.setattr("swarm.view.feeds.free_port", lambda _: other.getsockname()[1])
@@ -133,6 +135,7 @@ def test_foxglove_and_the_console_have_ports_of_their_own() -> None:
     assert parse_address(DEFAULT).port != feeds.FOXGLOVE_PORT
 
 
+@pytest.mark.slow
 def test_figures_are_those_of_the_snapshot(tmp_path: Path) -> None:
     moment = snapshot_at(PLAN, 40.0)
     viewer = start(PLAN, tmp_path / "flight.rrd", "foxglove")
@@ -166,6 +169,7 @@ def test_figures_are_those_of_the_snapshot(tmp_path: Path) -> None:
     assert at - stamps[0] == pytest.approx(1e9 * (event.time - moment.time), abs=2e3)
 
 
+@pytest.mark.slow
 def test_a_second_flight_gets_another_port(tmp_path: Path) -> None:
     messages = []
     viewers = []

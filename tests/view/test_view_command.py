@@ -182,6 +182,7 @@ main()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGINT"])
 def test_the_server_ends_with_the_command(recording: Path, scratch: Path, name: str) -> None:
     """A real process: `swarm view --web`, its server and its folder."""
