@@ -383,7 +383,8 @@ def _centred(
 ) -> tuple[Fold, Frozen] | None:
     """Return the motion at the end of a round of steps, and what is measured at it.
 
-    None where the steps converge to a motion that misses a limit and has no room left.
+    None where the steps converge to a motion that has no room left, or end at one that misses far
+    more than that.
     ``asked`` are what the certificate asks for, and the room (l,) after lost setpoints.
     """
     problem, (wanted, room) = short.problem, asked
@@ -407,7 +408,7 @@ def _centred(
         enough = step.share > (_BRIEF if near else _WHOLE) and step.decrement < _FAR_FROM_CENTRE
         if enough and exceeded < _NEARLY_KEPT:
             weight = min(weight * (_GROWTH + _FASTER * step.share), _LAST_WEIGHT)
-    return fold, frozen
+    return (fold, frozen) if shown.missed < _NEARLY_KEPT * _ROOM else None
 
 
 def _exceeded(limits: Limits, shown: Evaluation, stray: float) -> float:
