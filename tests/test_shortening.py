@@ -292,6 +292,29 @@ def test_the_certificate_asks_for_more_where_a_clearance_does_not_hold() -> None
     np.testing.assert_array_equal(again.bodies, asked.bodies)
 
 
+@pytest.mark.slow
+def test_a_budget_asks_for_no_more_at_the_end_than_the_knot_keeps() -> None:
+    plan = as_certified().plan
+    short, fold = Shortening.of(plan)
+    needs = shortening._measured_first(short, fold).needs
+    none = shortening.Wanted(np.zeros_like(needs.strands), np.zeros_like(needs.bodies))
+    clearance = plan.mission.clearance.model_copy(update={"cable": 0.6})
+    strict = replace(plan, mission=plan.mission.model_copy(update={"clearance": clearance}))
+    asked = shortening._wanted(short, strict, needs, none).strands
+    near = np.isfinite(short.kept)
+    assert near.any()
+    assert (asked[-1] <= short.kept)[near].all()
+    assert (asked > short.kept)[:, near].any(), "where the vehicles are still on their way"
+
+
+def test_less_swing_is_asked_for_where_lumped_masses_swing_too_far() -> None:
+    short, fold = Shortening.of(as_certified().plan)
+    limit = short.problem.limits.swing
+    calm, quick = (replace(fold, duration=share * fold.duration) for share in (3.0, 0.2))
+    assert short.swinging_less(calm).problem.limits == short.problem.limits
+    assert 0.0 < short.swinging_less(quick).problem.limits.swing < 0.5 * limit
+
+
 def test_steps_lower_the_cost_and_shorten_the_fold_while_strands_stay_apart() -> None:
     short, fold = Shortening.of(as_certified().plan)
     frozen = shortening._measured_first(short, fold)
