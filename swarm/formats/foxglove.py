@@ -184,11 +184,26 @@ class Messages:
         """Send the figures of a vehicle, counted from 0: numbers, words, flags, vectors (3,)."""
         self._send(self._vehicles[index], "swarm.VehicleState", figures, stamp)
 
-    def _send(self, topic: str, name: str, figures: Figures, stamp: int) -> None:
-        """Send figures to a topic, whose schema has those of its first message; JSON has no NaN."""
+    def announce(self, mission: Figures, margins: Figures, vehicle: Figures) -> None:
+        """Make the channels of figures like these, before a server begins.
+
+        A viewer that subscribes at once to a channel that is made later is answered "Unknown
+        channel ID", and never sees it (foxglove-sdk 0.30).
+        """
+        self._announce("/mission", "swarm.Mission", mission)
+        self._announce("/margins", "swarm.Margins", margins)
+        for topic in self._vehicles:
+            self._announce(topic, "swarm.VehicleState", vehicle)
+
+    def _announce(self, topic: str, name: str, figures: Figures) -> None:
         if topic not in self._figures:
             schema = {"type": "object", "title": name, "properties": _properties(figures)}
             self._figures[topic] = Channel(topic, schema=schema, context=self._context)
+
+    def _send(self, topic: str, name: str, figures: Figures, stamp: int) -> None:
+        """Send figures to a topic, whose schema has the announced ones, or those of its first
+        message; JSON has no NaN."""
+        self._announce(topic, name, figures)
         known = {key: value for key, value in figures.items() if _known(value)}
         shown = {
             key: dict(zip("xyz", value.tolist(), strict=True))

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from foxglove import Context
 from foxglove.messages import Color
 
+from swarm.certification.monitor import Clearances
 from swarm.flight.snapshot import Event, Snapshot
 from swarm.formats.foxglove import OPTIONS, Messages
 from swarm.formats.samples import CABLE_POINTS, nanoseconds
@@ -45,6 +46,7 @@ def main() -> None:
                 options.path, context=context, allow_overwrite=True, writer_options=OPTIONS
             )
             sinks.callback(log.close)
+        flight = FlightMessages(plan, context)
         if options.live is not None:
             name = f"swarm: {plan.mission.name}"
             # where another program has taken the port since, the record is kept all the same
@@ -53,9 +55,8 @@ def main() -> None:
                     name=name, host=LOOPBACK, port=options.port, context=context
                 )
                 sinks.callback(server.stop)
-        flight = None
         for item in items(source):
-            flight = flight or FlightMessages(plan, context, time.time() - item.time)
+            flight.begin(time.time() - item.time)
             if isinstance(item, Event):
                 flight.event(item)
             else:
@@ -65,18 +66,28 @@ def main() -> None:
 
 
 class FlightMessages:
-    """Sends a flight that began ``started`` seconds after 1970: snapshots, thinned out, and events.
+    """Sends a flight: snapshots, thinned out, and events, whose channels are made at once.
 
     The cable is that of the snapshots where it is estimated, else it hangs in catenaries between
     the grips that hold it.
     """
 
-    def __init__(self, plan: Plan, context: Context, started: float) -> None:
-        self._plan, self._started = plan, started
+    def __init__(self, plan: Plan, context: Context) -> None:
+        self._plan, self._started = plan, np.nan
         self._messages = Messages(context, plan.mission, plan.vehicles)
+        nothing = _nothing_known(plan.vehicles)
+        self._messages.announce(
+            mission_figures(nothing), vars(Clearances(np.nan, np.nan, np.nan, np.nan, "")),
+            vehicle_figures(nothing, 0),
+        )  # fmt: skip
         self._above = np.array([0.0, 0.0, plan.mission.vehicles.grip_offset])
         self._held, self._gripped = laid_grip_points(plan), np.zeros(plan.vehicles, dtype=bool)
         self._next = self._next_field = -np.inf
+
+    def begin(self, started: float) -> None:
+        """Set when the flight began, in seconds after 1970; the first call counts."""
+        if np.isnan(self._started):
+            self._started = started
 
     def event(self, event: Event) -> None:
         """Send an event."""
@@ -116,6 +127,16 @@ class FlightMessages:
 
     def _stamp(self, seconds: float) -> int:
         return nanoseconds(self._started + seconds)
+
+
+def _nothing_known(vehicles: int) -> Snapshot:
+    """Return a snapshot with every figure that others may have."""
+    unknown, words, flags = np.full((vehicles, 3), np.nan), vehicles * ("",), vehicles * (False,)
+    return Snapshot(
+        time=0.0, mission_time=0.0, rate=0.0, phase="", waiting_for=None, position=unknown,
+        velocity=unknown, setpoint=unknown, modes=words, states=words, armed=flags, gripped=flags,
+        battery=unknown[:, 0], link_age=unknown[:, 0], windows={"land": None, "release": None},
+    )  # fmt: skip
 
 
 def mission_figures(snapshot: Snapshot) -> dict[str, Any]:

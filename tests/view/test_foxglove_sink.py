@@ -44,7 +44,7 @@ class Client:
             except ConnectionRefusedError:
                 assert time.monotonic() < deadline
         self._connection = stack.enter_context(connection)
-        self._topics: dict[int, str] = {}
+        self.topics: dict[int, str] = {}
         self.messages: list[tuple[str, bytes]] = []
 
     def read(self, seconds: float) -> bool:
@@ -57,43 +57,24 @@ class Client:
             return False
         if isinstance(message, bytes):
             number, _ = struct.unpack_from("<IQ", message, 1)
-            self.messages.append((self._topics[number], message[13:]))
+            self.messages.append((self.topics[number], message[13:]))
         elif (said := json.loads(message))["op"] == "advertise":
             new = {channel["id"]: channel["topic"] for channel in said["channels"]}
-            self._topics |= new
+            self.topics |= new
             wanted = [{"id": number, "channelId": number} for number in new]
             self._connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
         return True
 
-    def missing_of(self, topics: set[str], offer) -> set[str]:
-        """Read until all topics have messages, ten seconds at most; return those without.
-
-        More is offered when all that came is read.
-        """
-        deadline = time.monotonic() + 10.0
-        while missing := topics - {topic for topic, _ in self.messages}:
-            if time.monotonic() > deadline:
-                break
+    def until_topics(self, topics: set[str], offer) -> None:
+        """Read until all topics have messages; more is offered when all that came is read."""
+        deadline = time.monotonic() + PATIENCE
+        while not topics <= {topic for topic, _ in self.messages}:
+            assert time.monotonic() < deadline, topics - {topic for topic, _ in self.messages}
             offer()
             before = -1
             while len(self.messages) != before:
                 before = len(self.messages)
                 assert self.read(0.1)
-        return missing
-
-
-def connected(stack: ExitStack, url: str, offer) -> Client:
-    """A viewer that gets all topics.
-
-    One that connects in the milliseconds in which the server makes its channels may never be told
-    of one of them (foxglove-sdk 0.30), and connects again.
-    """
-    for _ in range(3):
-        client = Client(stack, url)
-        missing = client.missing_of(TOPICS - {"/margins"}, offer)
-        if not missing:
-            return client
-    raise AssertionError(missing)
 
 
 def decoded(path: Path) -> dict[str, list]:
@@ -125,8 +106,10 @@ def test_viewers_that_come_late_see_the_flight_and_the_record_keeps_all(tmp_path
     with ExitStack() as stack:
         for _ in range(20):
             offer()
-        first = connected(stack, url, offer)
-        connected(stack, url, offer)
+        first = Client(stack, url)
+        first.until_topics(TOPICS - {"/margins"}, offer)
+        late = Client(stack, url)
+        late.until_topics(TOPICS - {"/margins"}, offer)
         assert viewer.close(timeout=PATIENCE)
         while first.read(PATIENCE):
             pass
@@ -146,6 +129,18 @@ def test_the_record_is_kept_where_the_port_is_taken(tmp_path: Path, monkeypatch)
         viewer.offer(snapshot_at(PLAN, 40.0))
         assert viewer.close(timeout=PATIENCE)
     assert len(read_json(tmp_path / "flight.mcap", "/vehicle_3/state")) == 1
+
+
+def test_all_topics_are_announced_before_the_first_moment(tmp_path: Path) -> None:
+    """A viewer that is told of one later may subscribe too early, and never see it."""
+    viewer = start(PLAN, tmp_path / "flight.rrd", "foxglove")
+    deadline = time.monotonic() + PATIENCE
+    with ExitStack() as stack:
+        client = Client(stack, viewer.message.split()[4])
+        while set(client.topics.values()) != TOPICS:
+            assert time.monotonic() < deadline, client.topics
+            assert client.read(0.1)
+    assert viewer.close(timeout=PATIENCE)
 
 
 def test_foxglove_and_the_console_have_ports_of_their_own() -> None:
