@@ -21,7 +21,7 @@ from swarm.mission import parse_mission
 from swarm.planner import PlanningResult, shortening
 from swarm.planner.fold_problem import Fold, Frozen, Problem, localised
 from swarm.planner.shortening import Shortening
-from swarm.planner.team_terms import _by_end, _write_strand
+from swarm.planner.team_terms import Needs, _by_end, _write_strand
 from swarm.planning import Plan
 from swarm.planning.candidates import candidates
 from tests.shared import shared
@@ -273,16 +273,25 @@ def test_an_optimised_fold_is_the_same_from_a_start_that_differs_by_millimetres(
     assert found[0].duration == pytest.approx(found[1].duration, rel=0.03)
 
 
+def stricter(plan: Plan, **clearance: float) -> Plan:
+    """The same plan, of a mission with larger clearances."""
+    larger = plan.mission.clearance.model_copy(update=clearance)
+    return replace(plan, mission=plan.mission.model_copy(update={"clearance": larger}))
+
+
+def asked_of(short: Shortening, fold: Fold) -> tuple[Needs, shortening.Wanted]:
+    """The needs of a motion, and nothing that the certificate asks for beyond them."""
+    needs = shortening._measured_first(short, fold).needs
+    return needs, shortening.Wanted(np.zeros_like(needs.strands), np.zeros_like(needs.bodies))
+
+
 @pytest.mark.slow
 def test_the_certificate_asks_for_more_where_a_clearance_does_not_hold() -> None:
     plan = as_certified().plan
     short, fold = Shortening.of(plan)
-    needs = shortening._measured_first(short, fold).needs
-    none = shortening.Wanted(np.zeros_like(needs.strands), np.zeros_like(needs.bodies))
+    needs, none = asked_of(short, fold)
     before = shortening._wanted(short, plan, needs, none)
-    clearance = plan.mission.clearance.model_copy(update={"vehicle_cable": 2.5})
-    strict = replace(plan, mission=plan.mission.model_copy(update={"clearance": clearance}))
-    asked = shortening._wanted(short, strict, needs, none)
+    asked = shortening._wanted(short, stricter(plan, vehicle_cable=2.5), needs, none)
     np.testing.assert_array_equal(asked.strands, before.strands)
     assert not before.bodies.any()
     short_of = asked.bodies > 0.0
@@ -296,11 +305,7 @@ def test_the_certificate_asks_for_more_where_a_clearance_does_not_hold() -> None
 def test_a_budget_asks_for_no_more_at_the_end_than_the_knot_keeps() -> None:
     plan = as_certified().plan
     short, fold = Shortening.of(plan)
-    needs = shortening._measured_first(short, fold).needs
-    none = shortening.Wanted(np.zeros_like(needs.strands), np.zeros_like(needs.bodies))
-    clearance = plan.mission.clearance.model_copy(update={"cable": 0.6})
-    strict = replace(plan, mission=plan.mission.model_copy(update={"clearance": clearance}))
-    asked = shortening._wanted(short, strict, needs, none).strands
+    asked = shortening._wanted(short, stricter(plan, cable=0.6), *asked_of(short, fold)).strands
     near = np.isfinite(short.kept)
     assert near.any()
     assert (asked[-1] <= short.kept)[near].all()

@@ -147,7 +147,8 @@ class Coasting:
 class Frozen:
     """What is measured at a motion: needs, and for s moments and m strands the squared frequency
     of the first mode, its damping, and the factor of its size (s, m); without ``coasting`` no
-    losses of setpoints count. Barriers are relaxed ``soft`` times as far as at the end."""
+    losses of setpoints count. Barriers are parabolas below ``soft`` times :data:`RELAXED_SHARE` or
+    :data:`.RELAXED`."""
 
     needs: Needs
     squares: Floats
@@ -814,10 +815,8 @@ def responded(held: Floats, lost: Floats) -> Floats:
 
 
 def logarithmic(slack: Floats, soft: float) -> tuple[Floats, Floats, Floats]:
-    """Return value, slope and curvature of −log(slack), for small slack a parabola.
-
-    That begins ``soft`` times as far from 0 as at the end of an optimisation.
-    """
+    """Return value, slope and curvature of −log(slack), and of a parabola for smaller slack than
+    ``soft`` times :data:`RELAXED_SHARE`."""
     relaxed = soft * RELAXED_SHARE
     held, below = np.maximum(slack, relaxed), np.minimum(slack - relaxed, 0.0)
     curvature = 1.0 / held**2
