@@ -1,7 +1,6 @@
 """Two vehicles with one system id: emulated ones in memory, and two emulators on one UDP port."""
 
 import json
-import socket
 import subprocess
 import sys
 import time
@@ -17,6 +16,7 @@ from swarm.flight.fleet_listener import FleetListener
 from swarm.mission.fleet import Fleet, emulated_fleet
 from tests.command import run
 from tests.network import Network, small_plan
+from tests.ports import free_port
 
 LINKS = {"radio": "udpin://127.0.0.1:1", "spare": "udpin://127.0.0.1:2"}
 Places = Callable[[int], list[tuple[str, object]]]
@@ -270,9 +270,7 @@ def processes(port: int, *kinds: str) -> Iterator[None]:
 
 @pytest.mark.slow
 def test_two_emulators_on_one_port_are_refused_by_the_check_in_seconds(tmp_path):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     vehicles = [{"sysid": k, "links": ["ground"], "autopilot": "px4"} for k in (1, 2)]
     links = {"ground": f"udpin://127.0.0.1:{port}"}
     file = tmp_path / "fleet.json"

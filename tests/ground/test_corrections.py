@@ -26,6 +26,7 @@ from swarm.ground.corrections import (
 from swarm.mavlink.vehicle import Vehicle
 from swarm.mission.fleet import emulated_fleet
 from tests.children import children
+from tests.ports import free_port
 
 
 def rtcm(kind, size, fill=0xD3):
@@ -202,9 +203,7 @@ def test_damaged_messages_are_left_out(tmp_path):
 
 
 def test_a_reader_that_ends_is_started_again_and_ends_with_us():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     source = CorrectionSource(parse_source(f"udp://127.0.0.1:{port}"), None)
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 

@@ -21,9 +21,10 @@ from swarm.mission.fleet import parse_fleet
 from tests.command import run
 from tests.console.test_server import Client
 from tests.ground.test_corrections import rtcm
-from tests.ground.test_mocap_bridge import SWARM, free_port
+from tests.ground.test_mocap_bridge import SWARM
 from tests.ground.test_screens import Terminal
 from tests.network import small_plan
+from tests.ports import free_port
 from tests.view.test_foxglove_sink import decoded
 
 pytestmark = [pytest.mark.full, pytest.mark.usefixtures("in_real_time")]

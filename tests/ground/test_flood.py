@@ -1,7 +1,6 @@
 """A flood of packets on the team's socket: setpoints stay correct and in time."""
 
 import signal
-import socket
 import subprocess
 import sys
 
@@ -10,6 +9,7 @@ import pytest
 from swarm.ground.fly import FlightCallbacks, FlyOptions, fly
 from swarm.mission.fleet import emulated_fleet
 from tests.network import small_plan
+from tests.ports import free_port
 
 FLIGHT_PLAN = small_plan()
 pytestmark = pytest.mark.usefixtures("in_real_time")
@@ -38,12 +38,6 @@ while True:
         time.sleep(ahead)
     print(sent, time.monotonic() - began, flush=True)
 """
-
-
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
 
 
 @pytest.mark.full

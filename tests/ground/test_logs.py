@@ -21,6 +21,7 @@ from swarm.errors import Refused
 from swarm.ground.commissioning.mavsdk_child import LogDownloader
 from swarm.ground.commissioning.survey import download_logs
 from swarm.mission.fleet import Fleet, emulated_fleet
+from tests.ports import free_port
 
 OLD, NEW = 1_763_700_000, 1_763_730_000
 PX4, ARDUPILOT = 12, 3
@@ -102,9 +103,7 @@ class Vehicle:
 
 @contextmanager
 def team(*vehicles: dict) -> Iterator[tuple[Fleet, list[Vehicle]]]:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("127.0.0.1", 0))
-        port = one.getsockname()[1]
+    port = free_port()
     fleet = emulated_fleet(len(vehicles), ("px4", "ardupilot"))
     limits = fleet.limits.model_copy(update={"ready": 1.5})
     links = {"loopback": f"udpin://127.0.0.1:{port}"}

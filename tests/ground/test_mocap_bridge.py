@@ -32,16 +32,11 @@ from swarm.mission.fleet import emulated_fleet, parse_fleet
 from swarm.reports.check import check_object, print_check
 from swarm.reports.mocap import bridge_object, bridge_words, poses_object, poses_table
 from tests.command import run
+from tests.ports import free_port
 
 SWARM = Path(sys.executable).with_name("swarm")
 LIMIT = 60.0
 """Seconds within which a program on a busy machine must have done what is waited for."""
-
-
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def fleet_text(port, vehicles=2, frame="shared"):

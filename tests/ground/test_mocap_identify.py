@@ -19,7 +19,8 @@ from swarm.ground.commissioning.identify import moved_words
 from swarm.ground.mocap import MocapBridge, parse_frame
 from swarm.mission.fleet import emulated_fleet, parse_fleet
 from tests.command import run
-from tests.ground.test_mocap_bridge import fleet_text, free_port
+from tests.ground.test_mocap_bridge import fleet_text
+from tests.ports import free_port
 from tests.sitl.client import Ground
 
 SWARM = Path(sys.executable).with_name("swarm")

@@ -2,7 +2,6 @@
 
 import json
 import signal
-import socket
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ from swarm.mission.fleet import emulated_fleet
 from swarm.verification import verify_trace
 from tests.command import run
 from tests.ground.station import FLIGHT_PLAN, fleet_on
+from tests.ports import free_port
 
 SPEED = "8"
 pytestmark = pytest.mark.usefixtures("in_real_time")
@@ -36,15 +36,9 @@ def process(*arguments):
         running.stdout.close()
 
 
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("127.0.0.1", 0))
-        return str(one.getsockname()[1])
-
-
 @pytest.mark.slow
 def test_after_sigkill_in_the_fold_the_team_is_found_and_the_flight_continues(tmp_path):
-    port, record, clock = free_port(), tmp_path / "record", str(tmp_path / "clock.bin")
+    port, record, clock = str(free_port()), tmp_path / "record", str(tmp_path / "clock.bin")
     world = emulated_world(
         FLIGHT_PLAN.plan, emulated_fleet(3, ("ardupilot",)), with_cable=True, seed=1
     )

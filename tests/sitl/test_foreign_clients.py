@@ -4,7 +4,6 @@ import contextlib
 import importlib.util
 import json
 import select
-import socket
 import subprocess
 import sys
 import time
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mavsdk import ComponentType, Configuration, Mavsdk
+from mavsdk import ComponentType, Configuration, ConnectionResult, Mavsdk
 from mavsdk.plugins.action import Action, ActionError
 from mavsdk.plugins.failure import Failure
 from mavsdk.plugins.failure.failure import FailureType, FailureUnit
@@ -22,16 +21,12 @@ from mavsdk.plugins.offboard import AccelerationNed, Offboard, PositionNedYaw, V
 from mavsdk.plugins.param import Param, ParamError
 from mavsdk.plugins.telemetry import Telemetry
 
+from tests.ports import free_port
+
 SPEED = 5.0
 pytestmark = pytest.mark.usefixtures("in_real_time")
 HOLD, RETURN, LAND, OFFBOARD = 3, 5, 6, 7
 VERSIONS = {"px4": (1, 16), "ardupilot": (4, 6)}
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-        sock.bind(("127.0.0.1", 0))
-        return int(sock.getsockname()[1])
 
 
 @contextlib.contextmanager
@@ -51,21 +46,29 @@ def emulator(port: int, *arguments: str) -> Iterator[None]:
         process.stdout.close()
 
 
-def until(condition: Callable[[], Any], seconds: float = 30.0) -> None:
-    """Wait for an effect of the other process; fail after ``seconds``."""
+def until(
+    condition: Callable[[], Any], seconds: float = 30.0, what: Callable[[], str] = str
+) -> None:
+    """Wait for an effect of the other process; fail after ``seconds`` and say ``what`` is there."""
     deadline = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < deadline, "it did not happen in time"
+        assert time.monotonic() < deadline, f"it did not happen in time: {what()}"
         select.select([], [], [], 0.02)
 
 
 @contextlib.contextmanager
-def station(port: int, count: int) -> Iterator[list[Any]]:
-    """Yield MAVSDK's systems of ``count`` vehicles."""
+def nine_vehicles(autopilots: str) -> Iterator[list[Any]]:
+    """Yield MAVSDK's systems of nine emulated vehicles.
+
+    MAVSDK listens before the emulator begins, so that no packet meets a port that nobody has.
+    """
+    port = free_port()
     with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as mavsdk:
-        mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
-        until(lambda: mavsdk.system_count() == count)
-        yield mavsdk.get_systems()
+        opened = mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
+        assert opened is ConnectionResult.SUCCESS
+        with emulator(port, "-n", "9", "--autopilot", autopilots):
+            until(lambda: mavsdk.system_count() == 9, what=lambda: str(mavsdk.system_count()))
+            yield mavsdk.get_systems()
 
 
 class Pilot:
@@ -93,8 +96,7 @@ class Pilot:
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 def test_mavsdk_flies_nine_at_once(autopilot: str) -> None:
     """Discovery, health, setup, take-off, two moves, hold; landing, return, failure, kill."""
-    port = free_port()
-    with emulator(port, "-n", "9", "--autopilot", autopilot), station(port, 9) as systems:
+    with nine_vehicles(autopilot) as systems:
         pilots = [Pilot(system) for system in systems]
         telemetries = [pilot.telemetry for pilot in pilots]
         version = Info(systems[0]).get_version()
@@ -165,11 +167,7 @@ def test_mavsdk_flies_nine_at_once(autopilot: str) -> None:
 
 
 def test_mavsdk_injects_failures_on_the_ground() -> None:
-    port = free_port()
-    with (
-        emulator(port, "-n", "9", "--autopilot", "ardupilot,px4"),
-        station(port, 9) as systems,
-    ):
+    with nine_vehicles("ardupilot,px4") as systems:
         pilots = [Pilot(system) for system in systems]
         victim = next(
             pilot for pilot in pilots if _is_px4(pilot) and pilot.telemetry.armed() is False
