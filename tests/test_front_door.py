@@ -110,9 +110,9 @@ def test_methods_are_documented(method):
 def test_reprs_are_short_and_have_the_figures():
     plan, certificate = held()
     flight = swarm.simulate(plan, certificate)
-    assert repr(plan) == "<Plan 3_1: 0_1, 3 vehicles, 7.2 m of cable, 76 s>"
+    assert repr(plan) == "<Plan 3_1: 0_1, 3 vehicles, 7.2 m of cable, 67 s>"
     assert repr(certificate) == "<Certificate: cleared for 0.1 m>"
-    assert repr(plan.motion).startswith("<Motion of 3 grip points: 61 s in ")
+    assert repr(plan.motion).startswith("<Motion of 3 grip points: 54 s in ")
     assert repr(flight).startswith("<Flight 3_1: done, 0_1, tracking error 0.")
     mission = swarm.Mission.for_knot("m3_1", tracking=0.05)
     assert repr(mission) == str(mission)

@@ -226,6 +226,9 @@ RAISED = 1.0
 """Metres. Vehicles stand on their legs when they grab the cable; simulated ones drift by up to half
 a metre, and an autopilot that is pressed on the ground detects a landing."""
 
+_AT_REST = 1e-6
+"""Speed below which a breakpoint is a rest, m/s: rounding leaves less."""
+
 
 def is_bare(fleet: Fleet, *, no_cable: bool) -> bool:
     """Return whether the vehicles cannot hold a cable, as simulated ones: only they can collide."""
@@ -251,20 +254,25 @@ def raised(
 
 
 def _lifted(plan: Plan) -> Plan:
-    """Return the plan whose first piece, from rest to rest, climbs RAISED higher.
+    """Return the plan whose first climb, from rest to rest, goes RAISED higher.
 
     It takes as much longer as the least climb becomes higher, so that no vehicle is faster.
     """
     times, coefficients = plan.motion.times.copy(), plan.motion.coefficients.copy()
-    first = float(times[1] - times[0])
-    low, high = plan.motion.at(times[:2])[0][..., 2]
-    longer = 1.0 + RAISED / float((high - low).min())
-    coefficients[0] /= longer ** np.arange(6)[:, None, None]
-    powers = (longer * first) ** np.arange(3, 6)
-    coefficients[0, 3:, :, 2] += RAISED * (np.array([10.0, -15.0, 6.0]) / powers)[:, None]
-    coefficients[1:, 0, :, 2] += RAISED
-    delay = (longer - 1.0) * first
-    times[1:] += delay
+    places, velocities, _ = plan.motion.at(times)
+    rest = 1 + int(np.argmax(np.abs(velocities[1:]).max(axis=(1, 2)) < _AT_REST))
+    low, high = places[0, :, 2], places[rest, :, 2]
+    higher = 1.0 + RAISED / (high - low)
+    longer = float(higher.max())
+    climb = coefficients[:rest]
+    climb[:, 0, :, 2] -= low
+    climb[..., 2] *= higher
+    climb[:, 0, :, 2] += low
+    climb /= longer ** np.arange(6)[:, None, None]
+    coefficients[rest:, 0, :, 2] += RAISED
+    delay = (longer - 1.0) * float(times[rest] - times[0])
+    times[:rest] = times[0] + longer * (times[:rest] - times[0])
+    times[rest:] += delay
 
     def later(time: float) -> float:
         return time + delay if time > plan.motion.times[0] else time

@@ -117,16 +117,13 @@ def _airborne(flight: FlightState) -> bool:
 
 
 def _gripped(flight: FlightState) -> bool:
-    """Close the grippers one after the other, in order along the cable."""
+    """Close all grippers, each as soon as its vehicle has no command under way."""
     for vehicle in flight.roster.vehicles:
-        if vehicle.gripped:
-            continue
-        if flight.setup.commands_grippers:
-            if vehicle.commands.idle:
-                vehicle.grip(closed=True)
-            return False
-        vehicle.gripped = True
-    return True
+        if not flight.setup.commands_grippers:
+            vehicle.gripped = True
+        elif not vehicle.gripped and vehicle.commands.idle:
+            vehicle.grip(closed=True)
+    return all(vehicle.gripped for vehicle in flight.roster.vehicles)
 
 
 def releasing(flight: FlightState) -> Sequence[Vehicle]:

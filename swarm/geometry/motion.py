@@ -15,6 +15,10 @@ from swarm.signatures import Floats1, Floats2, Floats3, Floats4, contiguous
 
 Floats = npt.NDArray[np.float64]
 
+_FASTEST, _PEAK, _LEAST_LEG = 1.875, 10.0 / np.sqrt(3.0), 1.0
+"""Largest speed and acceleration of a quintic from rest to rest, over its means (distance over
+duration, and over its square), and its least duration in seconds."""
+
 
 @dataclass(frozen=True, repr=False)
 class Motion:
@@ -200,25 +204,28 @@ def leg(start: Floats, end: Floats, max_speed: float, max_acceleration: float) -
 def staggered_leg(
     start: Floats, end: Floats, delays: Floats, max_speed: float, max_acceleration: float
 ) -> Motion:
-    """As :func:`leg`, with a delay (n,) in seconds for each vehicle."""
-    distance = float(np.linalg.norm(end - start, axis=1).max())
-    duration = rest_to_rest_time(distance, max_speed, max_acceleration)
-    times = np.unique(np.concatenate([[0.0], delays, delays + duration]).round(9))
-    share = np.clip((times[:, None] - delays) / duration, 0.0, 1.0)
-    step = end - start
-    s = share[:, :, None]
-    position = start + step * (s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
-    velocity = step * (30.0 * s**2 * (1.0 - s) ** 2) / duration
-    acceleration = step * (60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)) / duration**2
-    return through_states(times, position, velocity, acceleration)
+    """As :func:`leg`, with a delay (n,) in seconds for each vehicle.
 
-
-def rest_to_rest_time(distance: float, max_speed: float, max_acceleration: float) -> float:
-    """Return the shortest duration of a rest-to-rest quintic over a distance, in seconds.
-
-    The quintic's largest speed is 15/8 and its largest acceleration 10/√3 of the means. At least
-    1 s; 0.1 % longer, so that rounding keeps the limits.
+    Each motion is a quintic from rest to rest; where it would be too fast, a shorter one, which is
+    at the largest speed halfway and keeps that for the rest of the way before it goes on. The
+    quintic takes 1 s at least, and 0.1 % more than the limits ask for, so that rounding keeps them.
     """
-    by_speed = 1.875 * distance / max_speed
-    by_acceleration = float(np.sqrt(10.0 / np.sqrt(3.0) * distance / max_acceleration))
-    return max(1.0, 1.001 * by_speed, 1.001 * by_acceleration)
+    distance = float(np.linalg.norm(end - start, axis=1).max())
+    slowest = max(_LEAST_LEG, _PEAK / _FASTEST * max_speed / max_acceleration)
+    curved = min(distance, slowest * max_speed / _FASTEST)
+    duration = 1.001 * max(_LEAST_LEG, float(np.sqrt(_PEAK * curved / max_acceleration)))
+    part = curved / distance if distance > 0.0 else 1.0
+    steady = (1.0 / part - 1.0) * duration / _FASTEST
+    middle = [0.5 * duration, 0.5 * duration + steady] if steady > 0.0 else []
+    corners = np.array([0.0, *middle, duration + steady])
+    times = np.unique(np.append(0.0, delays[:, None] + corners).round(9))
+    since = times[:, None, None] - delays[:, None]
+    even = np.clip(since - 0.5 * duration, 0.0, steady)
+    s = np.clip((since - even) / duration, 0.0, 1.0)
+    step = part * (end - start)
+    return through_states(
+        times,
+        start + step * (s**3 * (10.0 - 15.0 * s + 6.0 * s**2) + _FASTEST * even / duration),
+        step * (30.0 * s**2 * (1.0 - s) ** 2) / duration,
+        step * (60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)) / duration**2,
+    )

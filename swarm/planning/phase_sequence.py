@@ -126,7 +126,7 @@ def _before_fold(
     up, low, carried = (
         np.array([0.0, 0.0, height]) for height in (TAKEOFF_HEIGHT, GRAB_HEIGHT, CARRY_HEIGHT)
     )
-    order = _STAGGER * np.arange(len(pads), dtype=float)
+    order = _STAGGER * np.abs(np.arange(len(pads)) - (len(pads) - 1) // 2)
     return (
         PhaseMotion(
             "takeoff",
@@ -156,7 +156,7 @@ def _before_fold(
         ),
         PhaseMotion(
             "lift",
-            leg(contracted + carried, lifted, 0.5 * speed, 0.5 * acceleration),
+            leg(contracted + carried, lifted, speed, 0.5 * acceleration),
             "lifting",
             gate="settled",
         ),

@@ -26,16 +26,15 @@ CableState = Literal["floor", "lifting", "aloft", "landing", "free"]
 Condition = Literal["armed", "airborne", "gripped", "settled", "released", "landed"]
 
 
-_WAITS: Final[Mapping[Condition, tuple[float, float]]] = {
-    "armed": (1.9, 0.0),
-    "airborne": (0.0, 0.0),
-    "gripped": (0.0, 0.65),
-    "settled": (1.0, 0.0),
-    "released": (0.75, 0.0),
-    "landed": (3.8, 0.0),
+_WAITS: Final[Mapping[Condition, float]] = {
+    "armed": 1.9,
+    "airborne": 0.0,
+    "gripped": 0.75,
+    "settled": 1.0,
+    "released": 0.75,
+    "landed": 3.8,
 }
-"""Seconds that a gate waits, and seconds for each vehicle (one grips after the other): measured in
-dry runs of the default missions with PX4 vehicles."""
+"""Seconds that a gate waits, measured in dry runs of the default missions with PX4 vehicles."""
 
 
 _SLOWING = 3.5
@@ -144,8 +143,7 @@ class Plan:
         """Return the seconds for which an undisturbed flight waits at a gate."""
         if self.mission.grab == "attached" and gate.condition in {"gripped", "released"}:
             return 0.0
-        alone, each = _WAITS[gate.condition]
-        return alone + self.vehicles * each
+        return _WAITS[gate.condition]
 
     @property
     def expected_slowing(self) -> float:

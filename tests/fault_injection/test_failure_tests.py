@@ -630,15 +630,15 @@ def test_obstacles_that_vehicles_or_cable_touch_are_told():
         flight.step()
     truth = flight.emulator.truth()
     (x, y, z), (east, north, up) = truth.position[1], truth.cable[len(truth.cable) // 4]
-    post = {"name": "post", "shape": "cylinder", "centre": [x, y], "radius": 0.1, "top": z - 0.1}
+    post = {"name": "post", "shape": "cylinder", "centre": [x, y], "radius": 0.1, "top": z - 0.3}
     bar = {"name": "bar", "shape": "box", "centre": [east, north], "size": [0.1, 0.1],
            "bottom": up - 0.1, "top": up + 0.1}  # fmt: skip
     beside = post | {"name": "beside", "centre": [x, y - 1.0], "top": 9.0}
     for higher, told in (
         (0.0, ["cable touches bar"]),
-        (0.2, ["vehicle 2 touches post", "cable touches post", "cable touches bar"]),
+        (0.4, ["vehicle 2 touches post", "cable touches post", "cable touches bar"]),
     ):
-        obstacles = json.dumps([post | {"top": z - 0.1 + higher}, beside, bar])
+        obstacles = json.dumps([post | {"top": z - 0.3 + higher}, beside, bar])
         mission = small_mission(f"workspace.obstacles={obstacles}")
         flight.flight_plan = SimpleNamespace(plan=replace(PLAN.plan, mission=mission))
         monitor = evaluation.GroundTruthMonitor(flight, BY_NAME["lags"], 0)

@@ -91,6 +91,16 @@ def test_legs_keep_limits(distance: float, speed: float, limit: float, delay: fl
     np.testing.assert_allclose(position[0], start, atol=1e-9)
     np.testing.assert_allclose(position[-1], end, atol=1e-9)
     assert np.abs(velocity[times < delay - 1e-6, 1]).max(initial=0.0) < 1e-6
+    # No shorter than at the limits throughout, and no longer than one quintic.
+    quintic = max(1.0, 1.875 * distance / speed, np.sqrt(10.0 / np.sqrt(3.0) * distance / limit))
+    assert distance / speed <= motion.times[-1] - delay <= 1.001 * quintic + 1e-6
+
+
+def test_a_long_leg_keeps_its_largest_speed() -> None:
+    motion = leg(np.zeros((1, 3)), np.array([[20.0, 0.0, 0.0]]), 2.0, 1.0)
+    speed = motion.at(np.linspace(0.0, motion.times[-1], 2001))[1][:, 0, 0]
+    assert motion.times[-1] < 20.0 / 2.0 + 3.1  # 3.08·speed/acceleration to start and stop
+    assert np.count_nonzero(speed > 1.99) > 900
 
 
 def test_a_reversed_motion_has_the_same_path_and_speed() -> None:

@@ -69,7 +69,7 @@ def test_summary_of_a_cleared_plan() -> None:
         "  knot                3_1, right-handed",
         "  vehicles            9, 5×5 grid, cell 1.20 m",
         "  cable               33.97 m in 8 segments of 3.00 m to 5.54 m",
-        "  duration            104.8 s: fold 36.0, other 53.0, gates 12.3, slowing 3.5",
+        "  duration            99.7 s: fold 36.0, other 53.0, gates 7.2, slowing 3.5",
         "  tracking error      certified for 0.10 m, holds up to 0.14 m (e*)",
         "  cable to cable      0.21 m, 0.15 m required: segments 3 and 5 at 51.3 s",
         "  vehicle to vehicle  1.20 m, 1.00 m required: vehicles 5 and 7 at 44.0 s",
