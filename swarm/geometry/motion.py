@@ -15,6 +15,10 @@ from swarm.signatures import Floats1, Floats2, Floats3, Floats4, contiguous
 
 Floats = npt.NDArray[np.float64]
 
+LEAST_STEP = 1e-4
+"""Shortest piece of a motion, seconds: with six decimals, rounding of times becomes part of the
+motion below it."""
+
 _FASTEST, _PEAK, _LEAST_LEG = 1.875, 10.0 / np.sqrt(3.0), 1.0
 """Largest speed and acceleration of a quintic from rest to rest, over its means (distance over
 duration, and over its square), and its least duration in seconds."""
@@ -219,6 +223,9 @@ def staggered_leg(
     middle = [0.5 * duration, 0.5 * duration + steady] if steady > 0.0 else []
     corners = np.array([0.0, *middle, duration + steady])
     times = np.unique(np.append(0.0, delays[:, None] + corners).round(9))
+    # Where a vehicle's breakpoint is nearly that of another, one serves both.
+    long = (np.diff(times)[:-1] >= LEAST_STEP) & (times[-1] - times[1:-1] >= LEAST_STEP)
+    times = times[np.concatenate([[True], long, [True]])]
     since = times[:, None, None] - delays[:, None]
     even = np.clip(since - 0.5 * duration, 0.0, steady)
     s = np.clip((since - even) / duration, 0.0, 1.0)

@@ -11,13 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm.errors import Problem, shown
-from swarm.geometry.motion import Motion
+from swarm.geometry.motion import LEAST_STEP, Motion
 
 Floats = npt.NDArray[np.float64]
-
-LEAST_STEP = 1e-4
-"""Shortest piece of a motion, seconds: with six decimals, rounding of times becomes part of the
-motion below it."""
 
 LARGEST = 1e4
 """Largest coordinate, speed, acceleration and length."""

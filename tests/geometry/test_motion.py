@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarm.geometry.motion import (
+    LEAST_STEP,
     Motion,
     at_rest,
     concatenate,
@@ -94,6 +95,19 @@ def test_legs_keep_limits(distance: float, speed: float, limit: float, delay: fl
     # No shorter than at the limits throughout, and no longer than one quintic.
     quintic = max(1.0, 1.875 * distance / speed, np.sqrt(10.0 / np.sqrt(3.0) * distance / limit))
     assert distance / speed <= motion.times[-1] - delay <= 1.001 * quintic + 1e-6
+
+
+@given(st.floats(0.0, 3e-4), st.sampled_from([1, 2, 3]))
+def test_a_staggered_leg_has_no_pieces_that_a_file_refuses(after: float, corner: int) -> None:
+    start, end = np.zeros((2, 3)), np.array([[20.0, 0.0, 0.0], [0.0, 20.0, 0.0]])
+    alone = leg(start, end, 2.0, 1.0)
+    motion = staggered_leg(start, end, np.array([0.0, alone.times[corner] + after]), 2.0, 1.0)
+    assert np.diff(motion.times).min() >= LEAST_STEP
+    for vehicle, begins in enumerate((0.0, alone.times[corner] + after)):
+        times = np.linspace(0.0, motion.times[-1], 501)
+        for found, expected in zip(motion.at(times), alone.at(times - begins), strict=True):
+            np.testing.assert_allclose(found[:, vehicle], expected[:, vehicle], atol=1e-3)
+    np.testing.assert_allclose(motion.at(motion.times[-1])[0], end, atol=1e-9)
 
 
 def test_a_long_leg_keeps_its_largest_speed() -> None:
