@@ -28,7 +28,7 @@ PADS_ASIDE = 1.5
 """Distance of pads from the cable on the floor, over the one that vehicles keep from each other."""
 
 _STAGGER = 0.6
-"""Seconds between the starts of two neighbours' descents to the cable."""
+"""Seconds between the starts of two neighbours' descents to the cable, from its middle outwards."""
 
 _TIMEOUTS: dict[Condition, float] = {
     "armed": 60.0,

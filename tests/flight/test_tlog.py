@@ -170,9 +170,9 @@ def test_a_hole_in_the_log_costs_what_was_in_it(flown):
     middle, noted = len(data) // 2, []
     for size in (20_008, 20_009, 20_010):
         again = replay(data[: middle + 3] + data[middle + 3 + size :], PLAN.plan, fleet)
-        assert again.damaged < 10
+        assert 0 < again.damaged < 10
         assert again.trace.phase[-1] == "land"
-        noted.append(again.damaged > 0 and "damaged place" in " ".join(again.notes))
+        noted.append("damaged place" in " ".join(again.notes))
     assert sum(noted) >= 2, "of three, one may end where a packet ends"
 
 

@@ -60,7 +60,7 @@ def until(
 def nine_vehicles(autopilots: str) -> Iterator[list[Any]]:
     """Yield MAVSDK's systems of nine emulated vehicles.
 
-    MAVSDK listens before the emulator begins, so that no packet meets a port that nobody has.
+    MAVSDK opens its port before the emulator sends to it.
     """
     port = free_port()
     with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as mavsdk:
