@@ -16,9 +16,9 @@ and damping of the swing, and its correction (:class:`Frozen`).
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from itertools import chain, permutations
-from typing import NamedTuple
+from functools import cache, cached_property
+from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -75,6 +75,9 @@ LOSS_EVERY, _LOSS_RANGE, _LOSS_WEIGHT = 3, 0.3, 0.2
 """Every so many moments a loss of setpoints; metres of slack at which its barriers end, and their
 weight: there are four poses for each vehicle."""
 
+_LOSSES_TOGETHER = 15
+"""Losses that are compared together: four parts for each of two cores, of 60 losses."""
+
 _LEAST_LOST, _LEAST_SUNK = 0.01, 0.02
 """Acceleration, m/s², that is lost in a jet at least, and share of the limit by which a vehicle
 sinks, for a pair to count."""
@@ -100,13 +103,19 @@ class Basis(NamedTuple):
     first: Ints
 
 
-def basis(count: int, shares: Floats) -> Basis:
-    """Return ``count`` clamped quintic B-splines on 0…1, with derivatives, at ``shares`` (s,)."""
+@cache
+def _splines(count: int) -> tuple[scipy.interpolate.BSpline, ...]:
+    """Return ``count`` clamped quintic B-splines on 0…1, and their first three derivatives."""
     inner = np.linspace(0.0, 1.0, count - DEGREE + 1)
     knots = np.concatenate([np.zeros(DEGREE), inner, np.ones(DEGREE)])
     spline = scipy.interpolate.BSpline(knots, np.eye(count), DEGREE)
+    return (spline, *(spline.derivative(order) for order in range(1, 4)))
+
+
+def basis(count: int, shares: Floats) -> Basis:
+    """Return ``count`` clamped quintic B-splines on 0…1, with derivatives, at ``shares`` (s,)."""
     inside = np.clip(shares, 0.0, 1.0 - 1e-12)
-    values = np.stack([spline.derivative(d)(inside) if d else spline(inside) for d in range(4)])
+    values = np.stack([spline(inside) for spline in _splines(count)])
     first = np.minimum((inside * (count - DEGREE)).astype(np.intp), count - DEGREE - 1)
     places = np.broadcast_to(first[:, None] + np.arange(DEGREE + 1), (4, len(shares), DEGREE + 1))
     return Basis(values, np.take_along_axis(values, places, axis=2), first)
@@ -163,9 +172,9 @@ class Slopes:
     """Derivatives of the cost by all control points, and by the logarithm of the duration.
 
     ``gradient`` (k, 3n) and the Gauss-Newton matrix (k·3n, k·3n) of the control points: what
-    couples neighbouring ones in its lower ``band`` (h, k·3n), row r, column c in
-    ``band[r − c, c]``; what a whole motion before a moment causes as ``remembered`` squares, of
-    which ``near`` (h, k·3n) is an approximation in a band. Where a band is the whole matrix, it is
+    couples neighbouring ones in its lower ``band`` (k·3n, h), row r, column c in
+    ``band[c, r − c]``; what a whole motion before a moment causes as ``remembered`` squares, of
+    which ``near`` (k·3n, h) is an approximation in a band. Where a band is the whole matrix, it is
     both, and has all of it. ``by_duration``, its derivative ``mixed`` (k, 3n) by control points,
     and ``twice`` by the same again. ``pose`` (4,) and ``by_pose`` (4, 4) are gradient and matrix of
     what the pose of the line moves beside control points.
@@ -174,7 +183,7 @@ class Slopes:
     gradient: Floats
     band: Floats
     near: Floats
-    remembered: "list[Remembered]"
+    remembered: "list[Squares]"
     by_duration: float
     mixed: Floats
     twice: float
@@ -182,23 +191,66 @@ class Slopes:
     by_pose: Floats = field(default_factory=lambda: np.zeros((4, 4)))
 
 
-class Remembered(NamedTuple):
-    """A sum of squares of ``rows`` (r, k·u·3) by control points of each vehicle of a ``pair``, or,
-    not ``apart``, of the first less the second."""
+class Part(NamedTuple):
+    """What vehicles' places (k·3) cause at t moments: those of the second of a pair, and ``sign``
+    times those of the first.
 
-    rows: Floats
+    ``moved`` (t, c) metres, their derivatives ``by`` (t, c, k·3) and ``longer`` (t, c) by the
+    logarithm of the duration.
+    """
+
+    sign: float
+    moved: Floats
+    by: Floats
+    longer: Floats
+
+
+class Squares(NamedTuple):
+    """The cost of the moved parts of a ``pair`` of vehicles: its derivatives.
+
+    ``rows`` (t, 1 + c, k·3) of each part are those whose squares are the Gauss-Newton matrix; the
+    first ones, of all parts together, are one. ``gradient`` and ``mixed`` (2, k, 3), by
+    control points of each vehicle, and ``by_duration`` and ``twice`` are as in :class:`Slopes`.
+    """
+
     pair: tuple[int, int]
-    apart: bool
+    signs: tuple[float, ...]
+    rows: tuple[Floats, ...]
+    gradient: Floats
+    mixed: Floats
+    by_duration: float
+    twice: float
 
     def times(self, vector: Floats, result: Floats) -> None:
         """Add to ``result`` (k, 3n) the matrix of the squares times a vector (k, 3n)."""
-        count, pair = len(vector), self.pair
-        ends = np.stack([vector[:, 3 * i : 3 * i + 3] for i in pair], axis=1)
-        ends = ends if self.apart else ends[:, :1] - ends[:, 1:]
-        found = (self.rows.T @ (self.rows @ ends.reshape(-1))).reshape(count, -1, 3)
-        for u, i in enumerate(pair):
-            sign = 1.0 if self.apart or u == 0 else -1.0
-            result[:, 3 * i : 3 * i + 3] += sign * found[:, u if self.apart else 0]
+        first, second = (slice(3 * i, 3 * i + 3) for i in self.pair)
+        shown = [
+            rows @ (sign * vector[:, first] + vector[:, second]).reshape(-1)
+            for sign, rows in zip(self.signs, self.rows, strict=True)
+        ]
+        together = np.sum([each[:, 0] for each in shown], axis=0)
+        for sign, rows, each in zip(self.signs, self.rows, shown, strict=True):
+            each[:, 0] = together
+            moved = np.tensordot(each, rows, 2).reshape(-1, 3)
+            result[:, first] += sign * moved
+            result[:, second] += moved
+
+    def products(self, after: int, first: slice, last: slice) -> Floats:
+        """Return the matrix (2, 2, 3a, 3b) between ranges of control points of both vehicles, of
+        the rows from a moment on."""
+        found = np.zeros((2, 2, 3 * (first.stop - first.start), 3 * (last.stop - last.start)))
+        left, right = (slice(3 * part.start, 3 * part.stop) for part in (first, last))
+        for p, (sign, rows) in enumerate(zip(self.signs, self.rows, strict=True)):
+            for q, (other, others) in enumerate(zip(self.signs, self.rows, strict=True)):
+                if p == q:
+                    each = here = rows[after:].reshape(-1, rows.shape[2])
+                else:
+                    each, here = rows[after:, 0], others[after:, 0]
+                product = each[:, left].T @ here[:, right]
+                for u, upper in enumerate((sign, 1.0)):
+                    for v, lower in enumerate((other, 1.0)):
+                        found[u, v] += upper * lower * product
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -362,8 +414,8 @@ class Problem:
         """Return the cost of a motion, and its derivatives."""
         knot = 3 * len(self.folded)
         high = knot * (self._reach(fold.duration, frozen.coasting) + 1)
-        band = np.zeros((high, self.count * knot))
-        near = band if high == band.shape[1] else np.zeros_like(band)
+        band = np.zeros((self.count * knot, high))
+        near = band if high == len(band) else np.zeros_like(band)
         slopes = Slopes(
             np.zeros((self.count, knot)), band, near, [], 0.0, np.zeros((self.count, knot)), 0.0
         )
@@ -513,18 +565,25 @@ class Problem:
             team_shares = np.broadcast_to(there.local[0][:, None], lost_shares.shape)
             first = np.broadcast_to(at.first[some, None], (count, n))
             team_first = np.broadcast_to(there.first[:, None], (count, n))
-            for who in range(0 if most else -1, n):
-                alone = np.arange(n) == who if who >= 0 else np.ones(n, dtype=np.bool_)
-                wide = alone[:, None]
+            who = np.arange(0 if most else -1, n)
+            # Without setpoints: the vehicle of a pose, or all.
+            alone = (who[:, None] == np.arange(n)) | (who[:, None] < 0)
+            wide = alone[..., None]
+            for part in range(0, count, _LOSSES_TOGETHER):
+                now = slice(part, part + _LOSSES_TOGETHER)
+
+                def each(lost: Any, team: Any, here: Any = wide, now: slice = now) -> Any:
+                    found = np.where(here, lost[now, None], team[now, None])
+                    return found.reshape(-1, *found.shape[2:])
+
+                rows = np.arange(count)[now]
                 yield _Moved(
                     Poses(
-                        np.where(wide, lost, team), np.arange(count),
-                        np.full(count, who), _LOSS_RANGE, _LOSS_WEIGHT, soft * RELAXED,
+                        each(lost, team), np.repeat(rows, len(who)), np.tile(who, len(rows)),
+                        _LOSS_RANGE, _LOSS_WEIGHT, soft * RELAXED,
                     ),
-                    Splines(
-                        np.where(wide, lost_shares, team_shares), np.where(alone, first, team_first)
-                    ),
-                    np.where(wide, lost_longer, team_longer),
+                    Splines(each(lost_shares, team_shares), each(first, team_first, alone)),
+                    each(lost_longer, team_longer),
                 )  # fmt: skip
 
     def _compared(self, moved: _Moved, team: Team, needs: Needs, *, derive: bool) -> _Compared:
@@ -537,7 +596,7 @@ class Problem:
         )  # fmt: skip
         memory = Memory(
             np.empty((m, _PIECES + 1, 3)), np.empty((m, _PIECES + 1, 5)), np.empty((m, 6)),
-            np.empty(m, dtype=np.int64),
+            np.empty(m), np.empty(m, dtype=np.int64),
         )  # fmt: skip
         blocks = np.zeros((s if derive else 1, 3 * n, 3 * n))
         derivatives = Derivatives(np.zeros((s, 3 * n)), blocks, np.empty((4, 3)))
@@ -582,58 +641,48 @@ class Problem:
         after = math.ceil(SETTLING / (duration / (s - 1)))
         swings = np.empty((s + after, n - 1))
 
-        def strand(i: int) -> tuple[float, Floats, Floats]:
-            swung = self._strand_swing(i, velocity, acceleration, duration, frozen, after)
-            swings[:, i] = np.linalg.norm(swung.moved, axis=1)
-            by = None
-            if slopes is not None:
-                by = np.concatenate([m.by_ends(self, duration) for m in swung.modes], axis=1)
-            return below(swung.moved, self.limits.swing, by, swung.longer, frozen.soft)
+        def strand(i: int) -> tuple[float, Squares | None]:
+            parts = self._strand_swing(
+                i, velocity, acceleration, duration, frozen, after, derive=slopes is not None
+            )
+            swings[:, i] = np.linalg.norm(np.concatenate([p.moved for p in parts], axis=1), axis=1)
+            pair = (i, i + 1) if slopes is not None else None
+            return below(parts, self.limits.swing, frozen.soft, pair)
 
         total = 0.0
-        for i, (value, by, rows) in enumerate(side_by_side(strand, range(n - 1))):
+        for value, squares in side_by_side(strand, range(n - 1)):
             total += value
-            if slopes is not None:
-                self._add(slopes, by, rows, (i, i + 1), apart=True)
+            if slopes is not None and squares is not None:
+                self._add(slopes, squares)
         return total, swings
 
-    def _add(
-        self, slopes: Slopes, by: Floats, rows: Floats, pair: tuple[int, int], *, apart: bool
-    ) -> None:
-        """Add the gradient (k·u·3 + 1,) of a cost by control points and duration, and its matrix:
-        the sum of squares of ``rows`` (t, c, k·u·3 + 1).
-
-        ``apart``: control points are those of each vehicle of the pair; otherwise of the first less
-        the second.
-        """
-        knot, width = 3 * len(self.folded), 6 if apart else 3
-        reach = len(slopes.band) // knot
-        signs = np.zeros(2) if apart else np.array([1.0, -1.0])
-        flat = rows.reshape(-1, rows.shape[2])
+    def _add(self, slopes: Slopes, squares: Squares) -> None:
+        """Add the derivatives of a cost of moved parts."""
+        slopes.by_duration += squares.by_duration
+        slopes.twice += squares.twice
+        for u, i in enumerate(squares.pair):
+            slopes.gradient[:, 3 * i : 3 * i + 3] += squares.gradient[u]
+            slopes.mixed[:, 3 * i : 3 * i + 3] += squares.mixed[u]
+        knot = 3 * len(self.folded)
+        reach = slopes.band.shape[1] // knot
         if slopes.near is not slopes.band:
-            slopes.remembered.append(Remembered(flat[:, :-1], pair, apart))
-        crossed = flat[:, -1] @ flat
-        slopes.by_duration += by[-1]
-        slopes.twice += crossed[-1]
-        for total, part in ((slopes.gradient, by), (slopes.mixed, crossed)):
-            ends = part[:-1].reshape(self.count, -1, 3)
-            for u, i in enumerate(pair):
-                total[:, 3 * i : 3 * i + 3] += ends[:, u] if apart else signs[u] * ends[:, 0]
+            slopes.remembered.append(squares)
         taper = localised(reach) if reach < self.count else np.ones(reach)
         for first in range(0, self.count, _TOGETHER):
-            # A control point moves nothing before the spline's pieces that it is part of.
-            after = rows[max(0, _PER_KNOT * (first - DEGREE)) :].reshape(-1, rows.shape[2])
             last = min(first + _TOGETHER, self.count)
-            end = min(last + reach - 1, self.count)
-            products = (
-                after[:, first * width : last * width].T @ after[:, first * width : end * width]
-            )
-            scatter_products(products, first, np.array(pair), signs, taper, slopes.near, knot)
+            # A control point moves nothing before the spline's pieces that it is part of.
+            products = squares.products(
+                max(0, _PER_KNOT * (first - DEGREE)), slice(first, last),
+                slice(first, min(last + reach - 1, self.count)),
+            )  # fmt: skip
+            scatter_products(products, first, np.array(squares.pair), taper, knot, slopes.near)
 
     def _strand_swing(
         self, i: int, velocity: Floats, acceleration: Floats, duration: float, frozen: Frozen,
-        after: int,
-    ) -> "StrandSwing":  # fmt: skip
+        after: int, *, derive: bool,
+    ) -> list[Part]:  # fmt: skip
+        """Return both modes of a strand: what they swing (t, 2) and (t, 3), without ``derive`` with
+        no derivatives by control points."""
         s = len(velocity)
         step = duration / (s - 1)
         held = np.concatenate([np.arange(s), np.full(after, s - 1)])
@@ -641,23 +690,21 @@ class Problem:
             np.ascontiguousarray(each[held, i])
             for each in (frozen.gains, frozen.squares, frozen.damping)
         )
-        modes_, moved, longer = [], [], []
+        parts = []
         for sign, axes, squares in ((1.0, 2, square), (-1.0, 3, _SECOND * square)):
             speed = 0.5 * (velocity[:, i + 1] + sign * velocity[:, i])
             pushed = 0.5 * (acceleration[:, i + 1] + sign * acceleration[:, i])
             size = np.linalg.norm(speed, axis=1) + 1e-9
             force = np.zeros((len(held), axes))
             force[:s] = _STEP_RESPONSE * (pushed + self.drag * size[:, None] * speed)[:, :axes]
-            mode = Mode(sign, axes, squares, speed, size, gain, damping, step)
-            modes_.append(mode)
-            moved.append(mode.swung(force))
+            mode = Mode(axes, squares, speed, size, gain, damping, step)
+            moved = mode.swung(force)
             # A longer duration makes forces smaller by its square, and steps longer.
             stretched = replace(mode, step=step * (1.0 + _STRETCH))
             later = stretched.swung(force / (1.0 + _STRETCH) ** 2)
-            longer.append((later - moved[-1]) / _STRETCH)
-        return StrandSwing(
-            tuple(modes_), np.concatenate(moved, axis=1), np.concatenate(longer, axis=1)
-        )
+            by = mode.by_ends(self, duration) if derive else np.empty((0, 0, 0))
+            parts.append(Part(sign, moved, by, (later - moved) / _STRETCH))
+        return parts
 
     def _sinking(
         self, place: Floats, duration: float, soft: float, slopes: Slopes | None
@@ -668,40 +715,39 @@ class Problem:
         limit of the lost lift, where its derivative would be 0.
         """
         s, n, _ = place.shape
-        step, total, most = duration / (s - 1), 0.0, 0.0
+        step, total = duration / (s - 1), 0.0
         held, stretched = sinking_step(step), sinking_step(step * (1.0 + _STRETCH))
-        for above, below_ in permutations(range(n), 2):
-            lost, by_place = self._lost_lift(place[:, above] - place[:, below_])
-            if lost.max() < _LEAST_LOST:
-                continue
-            depth = responded(held, lost[:, None])
-            most = max(most, float(depth.max()))
-            sunk = np.maximum(depth, 0.0)
-            if sunk.max() < _LEAST_SUNK * self.limits.sinking:
-                continue
-            by = None
+        lower, upper = np.nonzero(~np.eye(n, dtype=np.bool_))
+        lost, by_place = self._lost_lift(place[:, upper] - place[:, lower])
+        lost[:, lost.max(axis=0) < _LEAST_LOST] = 0.0
+        depths, later = responded(held, lost), responded(stretched, lost)
+        for k in np.flatnonzero(depths.max(axis=0) >= _LEAST_SUNK * self.limits.sinking):
+            depth, sunk, by = depths[:, k : k + 1], depths[:, k : k + 1] > 0.0, np.empty((0, 0, 0))
             if slopes is not None:
-                force = by_place[:, None, :] * self.basis.values[0][:, :, None]
-                by = responded(held, force.reshape(s, -1))[:, None] * (depth > 0.0)[..., None]
-            longer = (responded(stretched, lost[:, None]) - depth) / _STRETCH * (depth > 0.0)
-            value, gradient, rows = below(sunk, self.limits.sinking, by, longer, soft)
+                force = by_place[:, k, None] * self.basis.values[0][:, :, None]
+                by = (responded(held, force.reshape(s, -1)) * sunk)[:, None]
+            longer = (later[:, k : k + 1] - depth) / _STRETCH * sunk
+            value, squares = below(
+                [Part(-1.0, depth * sunk, by, longer)], self.limits.sinking, soft,
+                None if slopes is None else (int(lower[k]), int(upper[k])),
+            )  # fmt: skip
             total += value
-            if slopes is not None:
-                self._add(slopes, gradient, rows, (above, below_), apart=False)
-        return total, most
+            if slopes is not None and squares is not None:
+                self._add(slopes, squares)
+        return total, float(depths.max())
 
     def _lost_lift(self, apart: Floats) -> tuple[Floats, Floats]:
-        """Return the acceleration (s,) that a vehicle loses in a jet, and its derivative (s, 3) by
-        the place ``apart`` (s, 3) of the other one from it."""
-        depth = np.maximum(apart[:, 2], 1e-3)
+        """Return the acceleration (s, p) that vehicles lose in jets, and its derivative (s, p, 3)
+        by the places ``apart`` (s, p, 3) of the others from them."""
+        depth = np.maximum(apart[..., 2], 1e-3)
         width = self.jet + JET_WIDENING * depth
         decay = JET_DECAY * 2.0 * self.jet / depth
-        aside = (apart[:, :2] ** 2).sum(axis=1)
+        aside = (apart[..., :2] ** 2).sum(axis=-1)
         lost = STANDARD_GRAVITY * np.minimum(decay, 1.0) * np.exp(-0.5 * aside / width**2)
-        lost = np.where(apart[:, 2] > 0.0, lost, 0.0)
+        lost = np.where(apart[..., 2] > 0.0, lost, 0.0)
         by = np.empty_like(apart)
-        by[:, :2] = -(lost / width**2)[:, None] * apart[:, :2]
-        by[:, 2] = lost * (
+        by[..., :2] = -(lost / width**2)[..., None] * apart[..., :2]
+        by[..., 2] = lost * (
             aside * JET_WIDENING / width**3 - np.where(decay < 1.0, 1.0 / depth, 0.0)
         )
         return lost, by
@@ -720,19 +766,18 @@ class Problem:
                 size = flat.shape[1]
                 for apart in range(DEGREE + 1):
                     diagonal = np.repeat(np.diag(scaled, -apart), size)
-                    slopes.band[apart * size, : len(diagonal)] += diagonal
+                    slopes.band[: len(diagonal), apart * size] += diagonal
         return cost
 
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A mode of a strand: driven by the mean (``sign`` 1) or half the difference of its ends.
+    """A mode of a strand: driven by the mean or half the difference of its ends.
 
-    Along ``axes``; with squared frequencies, size factors and damping (t,), the ends' ``speed``
-    (s, 3) and its ``size`` (s,), and ``step`` seconds between moments.
+    Along ``axes``; with squared frequencies, size factors and damping (t,), that ``speed`` of the
+    ends (s, 3) and its ``size`` (s,), and ``step`` seconds between moments.
     """
 
-    sign: float
     axes: int
     squares: Floats
     speed: Floats
@@ -749,7 +794,7 @@ class Mode:
         return swung
 
     def by_ends(self, problem: Problem, duration: float) -> Floats:
-        """Return the derivative (t, axes, k·2·3) of its swing by control points of both ends."""
+        """Return the derivative (t, axes, k·3) of its swing by control points of the far end."""
         t, s, count = len(self.squares), len(self.speed), problem.count
         first = problem.basis.values[1] / duration
         second = problem.basis.values[2] / duration**2
@@ -759,39 +804,45 @@ class Mode:
             for y in range(3):
                 along = problem.drag * self.speed[:, x] * self.speed[:, y] / self.size
                 force[:s, x, :, y] += along[:, None] * first
-        moved = 0.5 * self.swung(_STEP_RESPONSE * force.reshape(t, -1)).reshape(force.shape)
-        return np.stack([self.sign * moved, moved], axis=3).reshape(t, self.axes, -1)
-
-
-class StrandSwing(NamedTuple):
-    """The swing of a strand in both modes (t, 5), and its derivative by the logarithm of the
-    duration (t, 5)."""
-
-    modes: tuple[Mode, ...]
-    moved: Floats
-    longer: Floats
+        return self.swung(0.5 * _STEP_RESPONSE * force.reshape(t, -1)).reshape(t, self.axes, -1)
 
 
 def below(
-    moved: Floats, limit: float, by: Floats | None, longer: Floats, soft: float
-) -> tuple[float, Floats, Floats]:
-    """Return the cost of vectors (t, c) that stay shorter than a limit, with its derivatives.
+    parts: list[Part], limit: float, soft: float, pair: tuple[int, int] | None
+) -> tuple[float, Squares | None]:
+    """Return the cost of vectors that stay shorter than a limit; of a pair, with its derivatives.
 
-    The barrier is that of 1 − (size / limit)². ``by`` (t, c, u) are their derivatives by the
-    unknowns, and ``longer`` (t, c) that by the logarithm of the duration, which comes last in the
-    gradient (u + 1,), and in rows (t, c + 1, u + 1), whose squares are the Gauss-Newton matrix;
-    both are empty without ``by``.
+    The barrier is that of 1 − (size / limit)², where the ``parts`` have the vectors' axes.
     """
-    value, slope, curvature = logarithmic(1.0 - (moved**2).sum(axis=1) / limit**2, soft)
-    if by is None:
-        return float(value.sum()), np.empty(0), np.empty((0, 0, 0))
-    by = np.concatenate([by, longer[:, :, None]], axis=2)
-    of_slack = -2.0 / limit**2 * np.einsum("tc,tcu->tu", moved, by)
-    scaled = np.sqrt(2.0 / limit**2 * -slope)
-    rows = np.concatenate(
-        [(of_slack * np.sqrt(curvature)[:, None])[:, None], by * scaled[:, None, None]], axis=1
+    slack = 1.0 - sum((part.moved**2).sum(axis=1) for part in parts) / limit**2
+    value, slope, curvature = logarithmic(slack, soft)
+    if pair is None:
+        return float(value.sum()), None
+    inward = -2.0 / limit**2
+    longer = inward * sum((part.moved * part.longer).sum(axis=1) for part in parts)
+    steep, scaled = np.sqrt(curvature), np.sqrt(inward * slope)
+    twice, all_rows = float(curvature @ longer**2), []
+    count = parts[0].by.shape[2] // 3
+    gradient, mixed = np.zeros((2, 2, count, 3))
+    for part in parts:
+        t, axes, size = part.by.shape
+        toward = inward * (part.moved[:, None] @ part.by)[:, 0]
+        rows = np.empty((t, 1 + axes, size))
+        rows[:, 0] = steep[:, None] * toward
+        rows[:, 1:] = scaled[:, None, None] * part.by
+        crossed = np.column_stack([steep * longer, scaled[:, None] * part.longer])
+        all_rows.append(rows)
+        twice += float((crossed[:, 1:] ** 2).sum())
+        for total, found in (
+            (gradient, slope @ toward), (mixed, crossed.reshape(-1) @ rows.reshape(-1, size))
+        ):  # fmt: skip
+            by_ends = found.reshape(-1, 3)
+            total += [part.sign * by_ends, by_ends]
+    signs = tuple(part.sign for part in parts)
+    by_duration = float(slope @ longer)
+    return float(value.sum()), Squares(
+        pair, signs, tuple(all_rows), gradient, mixed, by_duration, twice
     )
-    return float(value.sum()), of_slack.T @ slope, rows
 
 
 def localised(reach: int) -> Floats:

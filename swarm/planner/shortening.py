@@ -612,12 +612,12 @@ class Quadratic:
 
         Raises :class:`numpy.linalg.LinAlgError` where rounding leaves a factor undefined.
         """
-        band = self.slopes.band[:, self.inner].copy()
+        band = self.slopes.band[self.inner].copy()
         if self.slopes.near is not self.slopes.band:
-            band += self.slopes.near[:, self.inner]
-        band[0] += damping
+            band += self.slopes.near[self.inner]
+        band[:, 0] += damping
         factor = scipy.linalg.cholesky_banded(
-            band, overwrite_ab=True, lower=True, check_finite=False
+            band.T, overwrite_ab=True, lower=True, check_finite=False
         )
 
         def solved(sides: Floats) -> Floats:

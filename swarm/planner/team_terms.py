@@ -17,7 +17,7 @@ from swarm.geometry.catenary import solve_catenary
 from swarm.geometry.distance import Vector, segment_distance
 from swarm.geometry.solids import plane_beside
 from swarm.jit import compiled, inner
-from swarm.signatures import Floats1, Floats2, Floats3, Ints1, Ints2
+from swarm.signatures import Floats1, Floats2, Floats3, Floats4, Ints1, Ints2
 
 Floats = npt.NDArray[np.float64]
 
@@ -113,15 +113,17 @@ class Found(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """Points of strands (m, p, 3), their responses (m, p, 5), and boxes around them (m, 6).
+    """Points of strands (m, p, 3), their responses (m, p, 5), boxes around them (m, 6), and sags.
 
-    ``written`` (m,) is 1 for strands whose points are those of the pose: of others, which are not
-    near anything that counts, only a box is.
+    They are those of the pose before where both ends are; otherwise ``written`` (m,) is 1 for
+    strands whose points are those of the pose: of others, which are not near anything that counts,
+    only a box is.
     """
 
     points: Floats3
     responses: Floats3
     boxes: Floats2
+    sags: Floats1
     written: Ints1
 
 
@@ -335,16 +337,30 @@ def _write_bounds(start: Floats, end: Floats, length: float, box: Floats) -> Non
 
 
 @inner
+def _begin_pose(s: int, places: Floats, team: Team, memory: Memory) -> None:
+    """Write boxes around the strands that have other ends than in the pose before."""
+    for i in range(len(team.lengths)):
+        same = s > 0
+        for k in range(i, i + 2):
+            for x in range(3):
+                same = same and places[s, k, x] == places[s - 1, k, x]
+        if not same:
+            memory.written[i] = 0
+            _write_bounds(places[s, i], places[s, i + 1], team.lengths[i], memory.boxes[i])
+
+
+@inner
 def _require_strand(
     i: int, at: _At, place: Floats, team: Team, found: Found, memory: Memory
 ) -> None:
     """Write a strand's points, responses, box and sag, if they are not those of the pose."""
     if memory.written[i] == 0:
-        found.sags[at.row, i] = _write_strand(
+        memory.sags[i] = _write_strand(
             place[i], place[i + 1], team.lengths[i], memory.points[i], memory.responses[i]
         )
         _write_box(memory.points[i], memory.boxes[i])
         memory.written[i] = 1
+    found.sags[at.row, i] = memory.sags[i]
 
 
 @inner
@@ -380,9 +396,7 @@ def _moment(
 ) -> float:  # fmt: skip
     place, strands, only = poses.places[s], len(team.lengths), poses.vehicles[s]
     at = _At(s, poses.rows[s], poses.range, poses.weight, poses.relaxed, derive)
-    for i in range(strands):
-        memory.written[i] = 0
-        _write_bounds(place[i], place[i + 1], team.lengths[i], memory.boxes[i])
+    _begin_pose(s, poses.places, team, memory)
     cost = 0.0
     for i in range(strands):
         if only < 0 or only in (i, i + 1):
@@ -434,6 +448,12 @@ def _strands(
     cost, best = 0.0, np.inf
     for a in range(pieces):
         beside_a = near and team.lengths[i] * (pieces - a) / pieces <= exempt
+        # no point of a piece is farther from its first one than its length
+        if _outside(
+            first[a, 0], first[a, 1], first[a, 2], memory.boxes[j],
+            need + at.range + team.lengths[i] / pieces,
+        ):  # fmt: skip
+            continue
         for b in range(pieces):
             if beside_a or (near and team.lengths[j] * (b + 1) / pieces <= exempt):
                 continue
@@ -749,7 +769,7 @@ class Splines(NamedTuple):
 def scatter(splines: Splines, weight: float, blocks: Floats3, band: Floats2) -> None:
     """Add to a matrix (k·3n, k·3n) the blocks (s, 3n, 3n) of poses, by the splines at them.
 
-    Of the matrix, the lower ``band`` (h, k·3n) is kept: row r, column c in ``band[r − c, c]``.
+    Of the matrix, a lower ``band`` (k·3n, h) is kept: row r, column c in ``band[c, r − c]``.
     """
     poses, vehicles, many = splines.shares.shape
     for s in range(poses):
@@ -765,60 +785,54 @@ def scatter(splines: Splines, weight: float, blocks: Floats3, band: Floats2) -> 
                     row = (splines.first[s, i] + a) * 3 * vehicles + 3 * i
                     for b in range(many):
                         column = (splines.first[s, j] + b) * 3 * vehicles + 3 * j
+                        if row + 2 < column:
+                            continue
                         factor = weight * splines.shares[s, i, a] * splines.shares[s, j, b]
-                        for x in range(3):
-                            for y in range(3):
+                        for y in range(3):
+                            for x in range(3):
                                 below = row + x - column - y
                                 if below >= 0:
-                                    band[below, column + y] += (
+                                    band[column + y, below] += (
                                         factor * blocks[s, 3 * i + x, 3 * j + y]
                                     )
 
 
 @compiled
 def scatter_products(
-    products: Floats2, first: int, pair: Ints1, signs: Floats1, taper: Floats1, band: Floats2,
-    knot: int,
-) -> None:  # fmt: skip
-    """Add to a lower band (as in :func:`scatter`) products of vectors by control points.
+    products: Floats4, first: int, pair: Ints1, taper: Floats1, knot: int, band: Floats2
+) -> None:
+    """Add to a lower band (as in :func:`scatter`) products of vectors by control points of a pair.
 
-    ``products`` (a·u·3, b·u·3) are between control points from the ``first`` on, of u vehicles: of
-    each of the ``pair`` (2,), or of their sum with ``signs`` (2,). ``taper`` (r,) multiplies those
-    of control points that are so many apart; farther ones are left out. ``knot`` is 3n.
+    ``products`` (2, 2, a·3, b·3) are those of control points from the ``first`` on, of both
+    vehicles, with themselves and later ones. ``taper`` (r,) multiplies those of control points
+    that are so many apart; farther ones are left out. ``knot`` is 3n.
     """
-    units = len(pair) if signs[0] == 0.0 else 1
-    for p in range(products.shape[0]):
-        at = first + p // (3 * units)
-        for q in range(products.shape[1]):
-            apart = q // (3 * units) - p // (3 * units)
-            if apart < 0 or apart >= len(taper):
-                continue
-            product = taper[apart] * products[p, q]
-            row, column = knot * (at + apart) + q % 3, knot * at + p % 3
-            if units == 2:
-                row, column = row + 3 * pair[q // 3 % 2], column + 3 * pair[p // 3 % 2]
-                if row >= column:
-                    band[row - column, column] += product
-                continue
-            for u in range(2):
+    for p in range(products.shape[2] // 3):
+        for u in range(2):
+            for q in range(p, min(p + len(taper), products.shape[3] // 3)):
                 for v in range(2):
-                    below = row + 3 * pair[v] - column - 3 * pair[u]
-                    if below >= 0:
-                        band[below, column + 3 * pair[u]] += signs[u] * signs[v] * product
+                    column, row = (first + p) * knot + 3 * pair[u], (first + q) * knot + 3 * pair[v]
+                    for y in range(3):
+                        for x in range(3):
+                            below = row + x - column - y
+                            if below >= 0:
+                                product = products[u, v, 3 * p + y, 3 * q + x]
+                                band[column + y, below] += taper[q - p] * product
 
 
 @compiled
 def band_times(band: Floats2, vectors: Floats2, found: Floats2) -> None:
-    """Write to ``found`` (v, c) a symmetric matrix, of its lower ``band`` (h, c), times vectors."""
-    high, count = band.shape
+    """Write to ``found`` (v, c) a symmetric matrix, of its lower ``band`` (c, h), times vectors."""
+    count, high = band.shape
     found[:] = 0.0
-    for below in range(min(high, count)):
-        for v in range(len(vectors)):
-            for column in range(count - below):
-                found[v, column + below] += band[below, column] * vectors[v, column]
-            if below > 0:
-                for column in range(count - below):
-                    found[v, column] += band[below, column] * vectors[v, column + below]
+    for v in range(len(vectors)):
+        for column in range(count):
+            here = vectors[v, column]
+            total = band[column, 0] * here
+            for below in range(1, min(high, count - column)):
+                found[v, column + below] += band[column, below] * here
+                total += band[column, below] * vectors[v, column + below]
+            found[v, column] += total
 
 
 @compiled
