@@ -4,8 +4,8 @@ An interior-point method. The cost of the problem (:mod:`.fold_problem`) and a w
 logarithm of the duration are minimised by damped Newton steps, with the matrix of Gauss and Newton;
 the weight grows while steps succeed, so that the motion follows the path of centres between all
 limits towards a shortest one. After every step, what a motion shows is measured again: needs by
-tracking errors and frequencies of the swing, and after every other one the swing's correction by
-lumped masses and how far vehicles move on without setpoints.
+tracking errors, frequencies of the swing and its correction by lumped masses, and how far vehicles
+move on without setpoints.
 
 The certificate judges the result. Where it finds less than is needed, for a clearance in still air
 or in wind, for the budget or after lost setpoints, needs grow there, and another round of steps
@@ -111,10 +111,11 @@ _KEPT, _NEARLY_KEPT = 0.5, 5.0
 end of a round, so that half is left between the moments; and up to which the weight grows: from 1.5
 to 7.5 the folds of three missions were the same (results of plans, optimised folds)."""
 
-_MOST_STEPS, _CONVERGED, _STILL = 80, 2.0, 0.2
-"""Largest number of steps of a round, the decrement that ends it, and the one after which a motion
-that uses more room stays as it is: a tenth, because while barriers follow what the lumped masses
-stray, steps save little for a while, and more again."""
+_MOST_STEPS, _CONVERGED, _STILL = 80, 10.0, 1.0
+"""Largest number of steps of a round, the decrement that ends it (at the last weight, a thousandth
+of the duration), and the one after which a motion that uses more room stays as it is: a tenth,
+because while barriers follow what the lumped masses stray, steps save little for a while, and more
+again."""
 
 _HALVINGS, _DAMPINGS = 9, 6
 """Largest numbers of shorter and of more damped steps that are tried."""
@@ -131,9 +132,9 @@ _LARGEST_MOVE, _LARGEST_TURN, _LARGEST_CHANGE = 2.0, 0.3, 0.15
 """Metres by which a step moves a control point or the line, radians by which it turns the line, and
 logarithm by which it changes the duration, at most."""
 
-_MEASURED_EVERY, _TOWARDS = 2, 0.5
-"""Steps between measurements by lumped masses; share of a change of what is measured that counts,
-so that needs and motion do not chase each other."""
+_TOWARDS = 0.5
+"""Share of a change of what is measured that counts, so that needs and motion do not chase each
+other."""
 
 _PERIOD, _LEAST_SWING, _LEAST_GAIN, _LARGEST_GAIN = 1.4, 0.15, 0.7, 8.0
 """Seconds in which strays and oscillators are compared, about a period; share of the limit that an
@@ -391,20 +392,18 @@ def _centred(
     """
     problem, (wanted, room) = short.problem, asked
     frozen = replace(frozen, coasting=_coasting(short, fold, room))
-    damping, stray = 1.0, 0.0
-    for number in range(1, _MOST_STEPS + 1):
+    damping = 1.0
+    for _ in range(_MOST_STEPS):
         frozen = replace(frozen, soft=min(_SOFTEST, _SOFTENED / weight))
         step = _newton_step(problem, fold, frozen, weight, damping)
         fold, shown, damping = step.fold, step.shown, step.damping
         frozen = _with_needs(short, frozen, shown, wanted, _TOWARDS)
-        measured = number % _MEASURED_EVERY == 0
-        if measured:
-            frozen, stray = _with_gains(short, fold, frozen, shown, _TOWARDS)
-            frozen = replace(frozen, coasting=_coasting(short, fold, room))
+        frozen, stray = _with_gains(short, fold, frozen, shown, _TOWARDS)
+        frozen = replace(frozen, coasting=_coasting(short, fold, room))
         exceeded = _exceeded(problem.limits, shown, stray)
         last = weight == _LAST_WEIGHT or exceeded >= _NEARLY_KEPT
         within = _CONVERGED if exceeded < _KEPT else _STILL
-        if measured and last and step.share > 0.0 and step.decrement < within:
+        if last and step.share > 0.0 and step.decrement < within:
             return (fold, frozen) if exceeded < 1.0 else None
         near = step.decrement < _NEAR_CENTRE
         enough = step.share > (_BRIEF if near else _WHOLE) and step.decrement < _FAR_FROM_CENTRE
