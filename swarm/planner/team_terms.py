@@ -397,24 +397,29 @@ def _moment(
     place, strands, only = poses.places[s], len(team.lengths), poses.vehicles[s]
     at = _At(s, poses.rows[s], poses.range, poses.weight, poses.relaxed, derive)
     _begin_pose(s, poses.places, team, memory)
-    cost = 0.0
+    cost = 0.0  # calls pass all arrays by value, so that there is none for what is far apart
     for i in range(strands):
         if only < 0 or only in (i, i + 1):
             cost += _strand_alone(at, i, place, team, needs, found, memory, derivatives)
             cost += _beside_walls(at, i, place, team, needs, found, memory, derivatives)
-    for i in range(strands):
         for j in range(i + 1, strands):
             if only < 0 or only in (i, i + 1, j, j + 1):
-                cost += _strands(at, i, j, place, team, needs, found, memory, derivatives)
+                found.strands[at.row, i, j], found.distances[at.row, i, j] = 0.0, 9.0
+                if _gap(memory.boxes, i, j) <= needs.strands[at.row, i, j] + at.range:
+                    cost += _strands(at, i, j, place, team, needs, found, memory, derivatives)
     for i in range(strands + 1):
         if only < 0 or only == i:
             cost += _within_walls(at, i, place, team, needs, found, derivatives)
         for j in range(i + 1, strands + 1):
             if only < 0 or only in (i, j):
-                cost += _vehicles(at, i, j, place, needs, found, derivatives)
+                cost += _vehicles(at, i, j, place, needs.aside, needs.above, found, derivatives)
         for j in range(strands):
             if only < 0 or only in (i, j, j + 1):
-                cost += _bodies(at, i, j, place, team, needs, found, memory, derivatives)
+                found.bodies[at.row, i, j] = 0.0
+                own = i in (j, j + 1)
+                reach = _DISC + _DISC_RANGE if own else needs.bodies[at.row, i, j] + at.range
+                if not _outside(place[i], team.offset, memory.boxes[j], reach):
+                    cost += _bodies(at, i, j, place, team, needs, found, memory, derivatives)
     return cost
 
 
@@ -437,7 +442,6 @@ def _strands(
 ) -> float:  # fmt: skip
     """Cost of two strands: of all pairs of their pieces that are near, but beside a shared grip."""
     need = needs.strands[at.row, i, j]
-    found.strands[at.row, i, j], found.distances[at.row, i, j] = 0.0, 9.0
     if not _are_near(i, j, need + at.range, at, place, team, found, memory):
         return 0.0
     first, second = memory.points[i], memory.points[j]
@@ -449,10 +453,7 @@ def _strands(
     for a in range(pieces):
         beside_a = near and team.lengths[i] * (pieces - a) / pieces <= exempt
         # no point of a piece is farther from its first one than its length
-        if _outside(
-            first[a, 0], first[a, 1], first[a, 2], memory.boxes[j],
-            need + at.range + team.lengths[i] / pieces,
-        ):  # fmt: skip
+        if _outside(first[a], 0.0, memory.boxes[j], need + at.range + team.lengths[i] / pieces):
             continue
         for b in range(pieces):
             if beside_a or (near and team.lengths[j] * (b + 1) / pieces <= exempt):
@@ -504,20 +505,21 @@ def _strands(
 
 @inner
 def _vehicles(
-    at: _At, i: int, j: int, place: Floats, needs: Needs, found: Found, derivatives: Derivatives,
+    at: _At, i: int, j: int, place: Floats, aside: Floats, above: Floats, found: Found,
+    derivatives: Derivatives,
 ) -> float:  # fmt: skip
     """Cost of two vehicles: of their distance in plan view or in height, whichever misses less."""
     x, y, z = place[i, 0] - place[j, 0], place[i, 1] - place[j, 1], place[i, 2] - place[j, 2]
     level = max(np.sqrt(x * x + y * y), 1e-9)
-    aside, above = level - needs.aside[at.row, i, j], abs(z) - needs.above[at.row, i, j]
-    slack = max(aside, above)
+    beside, over = level - aside[at.row, i, j], abs(z) - above[at.row, i, j]
+    slack = max(beside, over)
     if slack >= at.range:
         return 0.0
     found.missed[at.row] = max(found.missed[at.row], -slack)
     value, slope, curvature = barrier(slack, at.range, at.relaxed)
     if at.derive:
         direction = (x / level, y / level, 0.0)
-        if above > aside:
+        if over > beside:
             direction = (0.0, 0.0, 1.0 if z > 0.0 else -1.0)
         _set(derivatives.by, 0, direction, 1.0)
         _set(derivatives.by, 1, direction, -1.0)
@@ -526,8 +528,10 @@ def _vehicles(
 
 
 @inner
-def _outside(x: float, y: float, z: float, box: Floats, reach: float) -> bool:
-    """Return whether a point is farther than ``reach`` from a box (6,) along an axis."""
+def _outside(point: Floats, above: float, box: Floats, reach: float) -> bool:
+    """Return whether what is ``above`` a point (3,) is farther than ``reach`` from a box (6,) along
+    an axis."""
+    x, y, z = point[0], point[1], point[2] + above
     return bool(
         x > box[3] + reach or y > box[4] + reach or z > box[5] + reach
         or x < box[0] - reach or y < box[1] - reach or z < box[2] - reach
@@ -544,12 +548,9 @@ def _bodies(
     need = _DISC if own else needs.bodies[at.row, i, j]
     end = _DISC_RANGE if own else at.range
     x, y, z = place[i, 0], place[i, 1], place[i, 2] + team.offset
-    found.bodies[at.row, i, j] = 0.0
-    boxes, reach = memory.boxes[j], need + end
-    if _outside(x, y, z, boxes, reach):
-        return 0.0
+    reach = need + end
     _require_strand(j, at, place, team, found, memory)
-    if _outside(x, y, z, boxes, reach):
+    if _outside(place[i], team.offset, memory.boxes[j], reach):
         return 0.0
     points, cost, best = memory.points[j], 0.0, np.inf
     for b in range(len(points) - 1):
