@@ -14,7 +14,7 @@ and damping of the swing, and its correction (:class:`Frozen`).
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import chain
@@ -282,12 +282,11 @@ class Evaluation:
 
 
 class _Moved(NamedTuple):
-    """Poses of a team, the splines that move them, and their derivatives (s, n, 3) by the
-    logarithm of the duration."""
+    """Poses of a team, and what gives the splines that move them, and their derivatives (s, n, 3)
+    by the logarithm of the duration."""
 
     poses: Poses
-    splines: Splines
-    longer: Floats
+    moved_by: Callable[[], tuple[Splines, Floats]]
 
 
 class _Compared(NamedTuple):
@@ -301,14 +300,14 @@ class _Compared(NamedTuple):
 
 def _add_poses(slopes: Slopes, compared: _Compared) -> None:
     """Add the derivatives of poses by control points and the duration."""
-    moved, by = compared.moved, compared.derivatives
-    longer = moved.longer.reshape(len(moved.longer), -1)
-    gather(moved.splines, by.gradient, slopes.gradient)
-    scatter(moved.splines, 1.0, by.matrix, slopes.band)
+    (splines, longer), by = compared.moved.moved_by(), compared.derivatives
+    longer = longer.reshape(len(longer), -1)
+    gather(splines, by.gradient, slopes.gradient)
+    scatter(splines, 1.0, by.matrix, slopes.band)
     if longer.any():
         pushed = np.einsum("sxy,sy->sx", by.matrix, longer)
         slopes.by_duration += float((by.gradient * longer).sum())
-        gather(moved.splines, pushed, slopes.mixed)
+        gather(splines, pushed, slopes.mixed)
         slopes.twice += float((pushed * longer).sum())
 
 
@@ -529,7 +528,7 @@ class Problem:
         """Return the poses of the motion itself."""
         s = len(place)
         poses = Poses(place, np.arange(s), np.full(s, -1), RANGE, 1.0, soft * RELAXED)
-        return _Moved(poses, self._splines(0, s), np.zeros_like(place))
+        return _Moved(poses, lambda: (self._splines(0, s), np.zeros_like(place)))
 
     def _splines(self, order: int, moments: int) -> Splines:
         """Return a derivative of the splines at the first moments, the same for all vehicles."""
@@ -549,46 +548,51 @@ class Problem:
         When they have moved half of what they do, and all; the others advance meanwhile as little
         and as far as they may.
         """
-        n, at = len(self.folded), self.basis
-        some = slice(0, None, LOSS_EVERY)
+        n, at, some = len(self.folded), self.basis, slice(0, None, LOSS_EVERY)
         count = len(self.shares[some])
-        for share, most in ((0.5, False), (0.5, True), (1.0, False), (1.0, True)):
-            seconds = share * coasting.lost
+
+        def after(share: float, who: Ints, advance: Floats) -> Iterator[_Moved]:
+            seconds, ahead = share * coasting.lost, self.shares[some] + advance / duration
             lost = place[some] + seconds[:, None] * velocity[some]
-            lost_shares = (
-                at.local[0][some, None] + (seconds / duration)[:, None] * at.local[1][some, None]
-            )
-            lost_longer = -seconds[:, None] * velocity[some]
-            least = min(coasting.silence, float(coasting.lost.min()))
-            advance = share * (coasting.others if most else np.full(count, least))
-            ahead = self.shares[some] + advance / duration
             there = basis(self.count, ahead)
             team, moving, _ = self._states(control, there, duration)
-            inside = (ahead < 1.0)[:, None, None]
-            team_longer = -advance[:, None, None] * inside * moving
-            team_shares = np.broadcast_to(there.local[0][:, None], lost_shares.shape)
-            first = np.broadcast_to(at.first[some, None], (count, n))
-            team_first = np.broadcast_to(there.first[:, None], (count, n))
-            who = np.arange(0 if most else -1, n)
             # Without setpoints: the vehicle of a pose, or all.
             alone = (who[:, None] == np.arange(n)) | (who[:, None] < 0)
-            wide = alone[..., None]
-            for part in range(0, count, _LOSSES_TOGETHER):
-                now = slice(part, part + _LOSSES_TOGETHER)
 
-                def each(lost: Any, team: Any, here: Any = wide, now: slice = now) -> Any:
+            def moved(now: slice) -> _Moved:
+                def each(lost: Any, team: Any) -> Any:
+                    here = alone.reshape(*alone.shape, *(1,) * (lost.ndim - 2))
                     found = np.where(here, lost[now, None], team[now, None])
                     return found.reshape(-1, *found.shape[2:])
 
+                def moved_by() -> tuple[Splines, Floats]:
+                    lost_shares = (
+                        at.local[0][some, None]
+                        + (seconds / duration)[:, None] * at.local[1][some, None]
+                    )
+                    team_shares = np.broadcast_to(there.local[0][:, None], lost_shares.shape)
+                    first = np.broadcast_to(at.first[some, None], (count, n))
+                    team_first = np.broadcast_to(there.first[:, None], (count, n))
+                    lost_longer = -seconds[:, None] * velocity[some]
+                    inside = (ahead < 1.0)[:, None, None]
+                    team_longer = -advance[:, None, None] * inside * moving
+                    splines = Splines(each(lost_shares, team_shares), each(first, team_first))
+                    return splines, each(lost_longer, team_longer)
+
                 rows = np.arange(count)[now]
-                yield _Moved(
-                    Poses(
-                        each(lost, team), np.repeat(rows, len(who)), np.tile(who, len(rows)),
-                        _LOSS_RANGE, _LOSS_WEIGHT, soft * RELAXED,
-                    ),
-                    Splines(each(lost_shares, team_shares), each(first, team_first, alone)),
-                    each(lost_longer, team_longer),
+                poses = Poses(
+                    each(lost, team), np.repeat(rows, len(who)), np.tile(who, len(rows)),
+                    _LOSS_RANGE, _LOSS_WEIGHT, soft * RELAXED,
                 )  # fmt: skip
+                return _Moved(poses, moved_by)
+
+            for first in range(0, count, _LOSSES_TOGETHER):
+                yield moved(slice(first, first + _LOSSES_TOGETHER))
+
+        every, least = np.arange(n), min(coasting.silence, float(coasting.lost.min()))
+        for share in (0.5, 1.0):
+            yield from after(share, np.append(-1, every), np.full(count, share * least))
+            yield from after(share, every, share * coasting.others)
 
     def _compared(self, moved: _Moved, team: Team, needs: Needs, *, derive: bool) -> _Compared:
         """Return the cost of all clearances of poses, what they show, and the derivatives."""
