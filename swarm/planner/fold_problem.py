@@ -196,11 +196,11 @@ class Slopes:
 
 
 class Part(NamedTuple):
-    """What vehicles' places (k·3) cause at t moments: those of the second of a pair, and ``sign``
-    times those of the first.
+    """Axes of a vector that a pair of vehicles moves: by the control points (k·3) of the second and
+    ``sign`` times those of the first.
 
-    ``moved`` (t, c) metres, their derivatives ``by`` (t, c, k·3) and ``longer`` (t, c) by the
-    logarithm of the duration.
+    ``moved`` (t, c) is the vector at t moments, metres; ``by`` (t, c, k·3) are its derivatives by
+    these control points, and ``longer`` (t, c) by the logarithm of the duration.
     """
 
     sign: float
@@ -210,11 +210,12 @@ class Part(NamedTuple):
 
 
 class Squares(NamedTuple):
-    """The cost of the moved parts of a ``pair`` of vehicles: its derivatives.
+    """Derivatives of the cost (:func:`below`) of a vector that a ``pair`` of vehicles moves.
 
-    ``rows`` (t, 1 + c, k·3) of each part are those whose squares are the Gauss-Newton matrix; the
-    first ones, of all parts together, are one. ``gradient`` and ``mixed`` (2, k, 3), by
-    control points of each vehicle, and ``by_duration`` and ``twice`` are as in :class:`Slopes`.
+    Its Gauss-Newton matrix is the sum of the squares of ``rows`` (t, 1 + c, k·3), by the control
+    points of each part with its sign; the first rows of all parts together are one. ``gradient``
+    and ``mixed`` (2, k, 3) are by the control points of each vehicle; they, ``by_duration`` and
+    ``twice`` are as in :class:`Slopes`.
     """
 
     pair: tuple[int, int]
@@ -665,7 +666,7 @@ class Problem:
         return total, swings
 
     def _add(self, slopes: Slopes, squares: Squares) -> None:
-        """Add the derivatives of a cost of moved parts."""
+        """Add the derivatives of the cost of a vector that two vehicles move."""
         slopes.by_duration += squares.by_duration
         slopes.twice += squares.twice
         for u, i in enumerate(squares.pair):
@@ -820,7 +821,7 @@ def below(
 ) -> tuple[float, Squares | None]:
     """Return the cost of vectors that stay shorter than a limit; of a pair, with its derivatives.
 
-    The barrier is that of 1 − (size / limit)², where the ``parts`` have the vectors' axes.
+    The barrier is that of 1 − (size / limit)²; the ``parts`` have the axes of the vectors.
     """
     slack = 1.0 - sum((part.moved**2).sum(axis=1) for part in parts) / limit**2
     value, slope, curvature = logarithmic(slack, soft)
