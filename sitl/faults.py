@@ -657,10 +657,10 @@ class UniformNumbers:
 
     def at_least(self, count: int) -> list[float]:
         """Return the list of the next numbers, at least ``count``; callers pop from its end."""
-        left = self._left
-        while len(left) < count:
-            left[:0] = self._rng.random(_BLOCK)[::-1].tolist()
-        return left
+        numbers = self._left
+        while len(numbers) < count:
+            numbers[:0] = self._rng.random(_BLOCK)[::-1].tolist()
+        return numbers
 
 
 @dataclass

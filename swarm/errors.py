@@ -75,14 +75,14 @@ def nearest(name: str, known: Iterable[str]) -> str:
     lower = {each.lower(): each for each in names}
     wanted = name.strip().lower().replace("-", "_")
     # 0.7: "overhnad" is near "overhand" (0.88), "8_81" is not near "10_81" (0.67)
-    found = get_close_matches(wanted, lower, n=1, cutoff=0.7) or [
+    matches = get_close_matches(wanted, lower, n=1, cutoff=0.7) or [
         each
         for each in lower
         if len(wanted) >= 3
         and len(each) >= 3
         and (each.startswith(wanted) or wanted.startswith(each))
     ]
-    return f": did you mean {lower[found[0]]}?" if found else ""
+    return f": did you mean {lower[matches[0]]}?" if matches else ""
 
 
 class SwarmError(Exception):

@@ -85,7 +85,7 @@ def assessment_object(assessment: Assessment) -> dict[str, Any]:
 
 def clearance_object(assessment: Assessment) -> dict[str, Any]:
     """Return the tightest distances by their keys."""
-    return {name: tightest_object(one) for name, one in assessment.distances.items()}
+    return {name: tightest_object(tightest) for name, tightest in assessment.distances.items()}
 
 
 def _robustness_object(assessment: Assessment) -> dict[str, Any]:

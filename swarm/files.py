@@ -47,8 +47,8 @@ def parse_json(text: str | bytes, source: str) -> Any:
     if isinstance(text, bytes):
         text = decoded(text, source)
     depth = 0
-    for found in _BRACKETS.finditer(text):
-        depth += (found[0] in "[{") - (found[0] in "]}")
+    for bracket in _BRACKETS.finditer(text):
+        depth += (bracket[0] in "[{") - (bracket[0] in "]}")
         if depth > DEEPEST_NESTING:
             message = f"not valid JSON: nested more than {DEEPEST_NESTING} deep"
             raise InputError([Problem(source, message)])

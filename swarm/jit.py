@@ -191,10 +191,10 @@ def _fit(made: Any, arguments: tuple[Any, ...], expected: tuple[types.Type, ...]
     """Return whether arguments are of the declared types, or convert to them exactly."""
     given = [made.typeof_pyval(argument) for argument in arguments]
     return len(given) == len(expected) and all(
-        one == other
-        or (isinstance(one, types.Array) and one.can_convert_to(None, other) is not None)
-        or (isinstance(one, types.Integer) and isinstance(other, types.Integer | types.Float))
-        for one, other in zip(given, expected, strict=True)
+        actual == wanted
+        or (isinstance(actual, types.Array) and actual.can_convert_to(None, wanted) is not None)
+        or (isinstance(actual, types.Integer) and isinstance(wanted, types.Integer | types.Float))
+        for actual, wanted in zip(given, expected, strict=True)
     )
 
 
@@ -271,14 +271,14 @@ def compiler() -> str:
 
 def _sources(file: str) -> dict[str, str]:
     """Return digests of a file and of its direct and indirect imports, by paths from the root."""
-    found: dict[str, str] = {}
+    digests: dict[str, str] = {}
     pending = [file]
     while pending:
         name = pending.pop()
-        if name not in found:
-            found[name], imported = _read(name)
+        if name not in digests:
+            digests[name], imported = _read(name)
             pending += imported
-    return {name.removeprefix(_ROOT): digest for name, digest in found.items()}
+    return {name.removeprefix(_ROOT): digest for name, digest in digests.items()}
 
 
 @functools.cache

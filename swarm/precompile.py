@@ -162,13 +162,13 @@ def _files(packages: Iterable[str]) -> dict[str, str]:
 
     Those of ``_RARE`` and the monitor of a flight are found under their own names only.
     """
-    found: dict[str, str] = {}
+    files: dict[str, str] = {}
     for package in packages:
         spec = find_spec(package)
         if spec is None or spec.origin is None:
             raise ModuleNotFoundError(package)
         if not spec.submodule_search_locations:
-            found[package] = spec.origin
+            files[package] = spec.origin
             continue
         folder = Path(spec.origin).parent
         for path in sorted(folder.rglob("*.py")):
@@ -176,8 +176,8 @@ def _files(packages: Iterable[str]) -> dict[str, str]:
                 parts = path.relative_to(folder).with_suffix("").parts
                 name = ".".join((package, *parts))
                 if name not in {*_RARE, _MONITOR}:
-                    found[name] = str(path)
-    return found
+                    files[name] = str(path)
+    return files
 
 
 def main(taken: str, end: str, packages: Sequence[str]) -> None:
@@ -197,7 +197,7 @@ def main(taken: str, end: str, packages: Sequence[str]) -> None:
     for module in modules:
         importlib.import_module(module)
     pending = {
-        module: [one for one in functions([module]) if declared(one) is not None][::-1]
+        module: [routine for routine in functions([module]) if declared(routine) is not None][::-1]
         for module in modules
     }
     sys.stdout.write(f"{sum(map(len, pending.values()))}\n")

@@ -61,8 +61,8 @@ def signature(function: Callable[..., Any]) -> tuple[types.Type, ...] | None:
     Floats, ints, bools and bytes, the arrays above, tuples and named tuples of these do.
     """
     hints = get_type_hints(function, include_extras=True)
-    found = [_numba_type(hints.get(name)) for name in inspect.signature(function).parameters]
-    return None if None in found else tuple(found)
+    kinds = [_numba_type(hints.get(name)) for name in inspect.signature(function).parameters]
+    return None if None in kinds else tuple(kinds)
 
 
 def record(kind: type, *parts: Any) -> types.Type:
@@ -75,7 +75,7 @@ def _numba_type(annotation: Any) -> types.Type | None:
     if annotation in _SCALARS:
         return _SCALARS[annotation]
     if get_origin(annotation) is Annotated:
-        return next((one for one in get_args(annotation) if isinstance(one, types.Type)), None)
+        return next((item for item in get_args(annotation) if isinstance(item, types.Type)), None)
     if get_origin(annotation) is tuple:
         parts: tuple[Any, ...] = get_args(annotation)
         kind: Any = tuple
@@ -84,5 +84,5 @@ def _numba_type(annotation: Any) -> types.Type | None:
         kind, parts = annotation, tuple(hints[name] for name in annotation._fields)
     else:
         return None
-    found = [_numba_type(part) for part in parts]
-    return None if None in found else types.BaseTuple.from_types(found, kind)
+    members = [_numba_type(part) for part in parts]
+    return None if None in members else types.BaseTuple.from_types(members, kind)

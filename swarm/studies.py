@@ -95,12 +95,12 @@ def plan_row(
         "cell": cell,
         "cable_length": float(plan.layout.lengths.sum()),
         "fold_time": fold.duration,
-        **{f"{name}_clearance": _distance(one) for name, one in assessment.distances.items()},
+        **{f"{name}_clearance": _distance(entry) for name, entry in assessment.distances.items()},
         "land_share": assessment.contingencies.land.share if assessment.contingencies else None,
         "release_share": assessment.contingencies.release.share
         if assessment.contingencies
         else None,
-        "budget": min((one.remaining for one in assessment.budget), default=None),
+        "budget": min((entry.remaining for entry in assessment.budget), default=None),
         "planning_time": planning_time,
         "message": "" if assessment.cleared else _errors(assessment, plan.notes),
     }

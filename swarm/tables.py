@@ -53,10 +53,10 @@ class Table:
         if first and not any(_NUMBER.fullmatch(cell) for cell in cells):
             split = [_UNIT.fullmatch(cell) for cell in cells]
             self.heading = tuple(
-                (found[1].rstrip() if found else cell).lower()
-                for found, cell in zip(split, cells, strict=True)
+                (match[1].rstrip() if match else cell).lower()
+                for match, cell in zip(split, cells, strict=True)
             )
-            self._units = tuple(found[2].strip() if found else "" for found in split)
+            self._units = tuple(match[2].strip() if match else "" for match in split)
             self._refuse_same_names()
             self._blank = {k for k, name in enumerate(self.heading) if not name}
             self._first = None
@@ -80,13 +80,13 @@ class Table:
             got = shown(", ".join(self.heading)) if self.heading else "no heading"
             message = f"expected the columns {', '.join(missing)}, got {got}"
             raise InputError([*self.problems, Problem(place, message)])
-        found = tuple(self.heading.index(name) for name in units)
-        for (name, unit), column in zip(units.items(), found, strict=True):
+        positions = tuple(self.heading.index(name) for name in units)
+        for (name, unit), column in zip(units.items(), positions, strict=True):
             got = self._units[column].replace("^", "").replace("²", "2")
             if got not in {"", unit}:
                 message = f"{name}: expected {unit or 'no unit'}, got {self._units[column]}"
                 self.add(Problem(f"{place}, column {column + 1}", message))
-        return found
+        return positions
 
     def __iter__(self) -> Iterator[tuple[int, list[str]]]:
         """Yield the line and the cells of every row; rows of another width are problems."""
@@ -179,9 +179,9 @@ class Table:
         if declared:
             separator, first = declared[1], "\n"
         else:
-            bare = re.sub(r'"[^"]*"', "", first.strip(" \r\n"))
-            separator = next((mark for mark in ";\t," if mark in bare), ",")
-            if spaces and not {",", ";"} & set(bare):
+            unquoted = re.sub(r'"[^"]*"', "", first.strip(" \r\n"))
+            separator = next((mark for mark in ";\t," if mark in unquoted), ",")
+            if spaces and not {",", ";"} & set(unquoted):
                 separator = " "
         if separator == " ":
             for number, line in enumerate(_chained(first, kept), skipped):
@@ -228,10 +228,10 @@ def _chained(first: str, rest: Iterator[str]) -> Iterator[str]:
 
 
 def _refuse_control_characters(text: str, source: str) -> None:
-    found = _CONTROL.search(text)
-    if found:
-        before = text[: found.start()]
+    match = _CONTROL.search(text)
+    if match:
+        before = text[: match.start()]
         line = 1 + len(re.findall(r"\r\n|\r|\n", before))
         column = 1 + len(re.split(r"[\r\n]", before)[-1])
-        message = f"expected text, got the control character {ord(found[0])}"
+        message = f"expected text, got the control character {ord(match[0])}"
         raise InputError([Problem(f"{source}: line {line}, character {column}", message)])

@@ -44,16 +44,16 @@ def side_by_side(
             while pending:
                 yield pending.popleft().result()
         finally:
-            for left in pending:
-                left.cancel()
+            for future in pending:
+                future.cancel()
             wait(pending)
 
 
 def both(first: Callable[[], Item], second: Callable[[], Result]) -> tuple[Item, Result]:
     """Return the results of two computations, side by side."""
     tasks: tuple[Callable[[], Any], ...] = first, second
-    found, other = side_by_side(lambda task: task(), tasks)
-    return found, other
+    outcome, other = side_by_side(lambda task: task(), tasks)
+    return outcome, other
 
 
 def once(function: Callable[[], Result]) -> Callable[[], Result]:

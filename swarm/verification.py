@@ -102,14 +102,14 @@ def closest_pairs(plan: Plan, position: Floats, *, cable: bool) -> tuple[Tightes
     if not np.isfinite(position).all():
         return ()
     moment = Samples(plan, position[None], np.zeros(1))
-    found = [
+    distances = [
         kind.measured(moment)
         for kind in sorted(
             (MEASURED[key] for key in FIGURES), key=lambda kind: kind.when != "always"
         )
         if kind.measured and (cable or kind.when == "always")
     ]
-    return tuple(tightest for tightest in found if tightest is not None)
+    return tuple(tightest for tightest in distances if tightest is not None)
 
 
 def _knot(plan: Plan, held: Floats) -> tuple[str, Chirality, str, bool, tuple[str, ...]]:
@@ -126,21 +126,21 @@ def _knot(plan: Plan, held: Floats) -> tuple[str, Chirality, str, bool, tuple[st
     )
     curve = cable_curve(grip_points, np.maximum(lengths, chords / TAUT))
     try:
-        code, found = curve_gauss(curve), identify_curve(curve)
-        as_planned = ties_planned_knot(plan, found, code)
+        code, knot = curve_gauss(curve), identify_curve(curve)
+        as_planned = ties_planned_knot(plan, knot, code)
         if as_planned and not same_code(code, layout_code(plan.layout)):
             notes += ("it is the planned knot, with other crossings in plan view than planned",)
     except SwarmError as error:
         return "unknown", "none", "", False, (*notes, str(error))
-    chirality: Chirality = found.chirality  # type: ignore[assignment]
-    return found.name, chirality, code.signed_text(), as_planned, notes
+    chirality: Chirality = knot.chirality  # type: ignore[assignment]
+    return knot.name, chirality, code.signed_text(), as_planned, notes
 
 
 def tracking_errors(trace: Trace) -> tuple[TrackingStatistics, ...]:
     """Return statistics per phase and vehicle, per phase, per vehicle, and of the whole flight."""
     error = np.linalg.norm(trace.position - trace.setpoint, axis=-1)
     phase = np.array(trace.phase, dtype=str)
-    found = []
+    statistics = []
     for name in ["", *dict.fromkeys(trace.phase)]:
         rows = error[phase != ""] if name == "" else error[phase == name]
         for vehicle in range(error.shape[1] + 1):
@@ -149,5 +149,5 @@ def tracking_errors(trace: Trace) -> tuple[TrackingStatistics, ...]:
             if len(values):
                 rms = float(np.sqrt(np.mean(values**2)))
                 p999 = float(np.quantile(values, 0.999))
-                found.append(TrackingStatistics(name, vehicle, rms, p999, float(values.max())))
-    return tuple(found)
+                statistics.append(TrackingStatistics(name, vehicle, rms, p999, float(values.max())))
+    return tuple(statistics)

@@ -464,10 +464,10 @@ class SwingingRope(Cable):
 
     def _drawn_in(self, interval: float) -> Array:
         """Return the caught cable's remaining distances from all grip points; reduce them."""
-        rest, left = np.zeros((len(self.grips), 3)), float(np.exp(-interval / _CLOSING_TIME))
+        rest, decay = np.zeros((len(self.grips), 3)), float(np.exp(-interval / _CLOSING_TIME))
         for row, (_, holder) in enumerate(self.grips):
             if holder in self._offsets:
-                self._offsets[holder] *= left
+                self._offsets[holder] *= decay
                 rest[row] = self._offsets[holder]
         return rest
 

@@ -73,8 +73,8 @@ class Exchange:
         deadline = time.monotonic() + _PATIENCE
         missing = sum(not port.fresh and not port.silent for port in self.ports)
         while True:
-            left = deadline - time.monotonic()
-            ready = self._poll.poll(1000.0 * max(left, 0.0) if missing else 0.0)
+            timeout = deadline - time.monotonic()
+            ready = self._poll.poll(1000.0 * max(timeout, 0.0) if missing else 0.0)
             for descriptor, _ in ready:
                 port = self._by_descriptor[descriptor]
                 expected = not port.fresh and not port.silent
@@ -85,7 +85,7 @@ class Exchange:
                     self._poll.unregister(descriptor)
             if missing <= 0:
                 return
-            if left <= 0.0:
+            if timeout <= 0.0:
                 for port in self.ports:
                     port.silent = not port.fresh
                 for number in self._ended():

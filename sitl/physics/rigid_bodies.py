@@ -150,14 +150,14 @@ def _spin(
     The cable pulls at the end of a stiff dropper below the centre.
     """
     arm = _ARM * frame.radius[i] * math.sqrt(0.5)
-    one, two, three, four = body[13], body[14], body[15], body[16]
+    first, second, third, fourth = body[13], body[14], body[15], body[16]
     ahead = rotation[0, 0] * outside[0] + rotation[1, 0] * outside[1] + rotation[2, 0] * outside[2]
     left = rotation[0, 1] * outside[0] + rotation[1, 1] * outside[1] + rotation[2, 1] * outside[2]
     p, q, r = body[10], body[11], body[12]
     inertia_x, inertia_y, inertia_z = _inertia(frame, i)
-    torque_x = arm * (two + three - one - four) + frame.offset[i] * left - _RATE_DRAG * p
-    torque_y = arm * (two + four - one - three) - frame.offset[i] * ahead - _RATE_DRAG * q
-    torque_z = _TORQUE * (three + four - one - two) - _RATE_DRAG * r
+    torque_x = arm * (second + third - first - fourth) + frame.offset[i] * left - _RATE_DRAG * p
+    torque_y = arm * (second + fourth - first - third) - frame.offset[i] * ahead - _RATE_DRAG * q
+    torque_z = _TORQUE * (third + fourth - first - second) - _RATE_DRAG * r
     body[10] += interval * (torque_x + (inertia_y - inertia_z) * q * r) / inertia_x
     body[11] += interval * (torque_y + (inertia_z - inertia_x) * r * p) / inertia_y
     body[12] += interval * (torque_z + (inertia_x - inertia_y) * p * q) / inertia_z

@@ -108,7 +108,7 @@ def deepest_sinking(plan: Plan) -> Sinking | None:
 
     None where no vehicle passes below another. See :func:`sinkings`.
     """
-    return max(sinkings(plan, LEAST_SINKING), key=lambda found: found.depth, default=None)
+    return max(sinkings(plan, LEAST_SINKING), key=lambda sinking: sinking.depth, default=None)
 
 
 def sinkings(plan: Plan, least: float) -> list[Sinking]:
@@ -133,7 +133,7 @@ def sinkings(plan: Plan, least: float) -> list[Sinking]:
         speeds[:, k] = blown.max(axis=1)
     lost = np.minimum(0.5, speeds / (2.0 * induced_speed(plan.mission))) * STANDARD_GRAVITY
     depth = _error(lost)
-    found = []
+    errors = []
     for vehicle, below in enumerate((depth >= least).T):
         changes = np.flatnonzero(np.diff(below, prepend=False, append=False))
         for begin, end in changes.reshape(-1, 2):
@@ -142,7 +142,7 @@ def sinkings(plan: Plan, least: float) -> list[Sinking]:
             before = slice(max(0, instant - int(1.5 / STEP)), instant + 1)
             worst = before.start + int(np.argmax(speeds[before, vehicle]))
             above = int(sources[worst, vehicle])
-            found.append(
+            errors.append(
                 Sinking(
                     depth=float(depth[instant, vehicle]),
                     vehicle=vehicle,
@@ -152,7 +152,7 @@ def sinkings(plan: Plan, least: float) -> list[Sinking]:
                     time=float(time[worst]),
                 )
             )
-    return found
+    return errors
 
 
 def _error(disturbance: Floats) -> Floats:

@@ -158,18 +158,18 @@ def _meeting(plan: Plan, failing: Iterable[Moment]) -> list[Finding]:
 
 def _clearance_finding(plan: Plan, moment: Moment) -> Finding:
     tracking = plan.mission.vehicles.tracking
-    one, other = moment.between
+    first, second = moment.between
     errors = f" for tracking errors up to {tracking:g} m" if tracking > 0 else ""
     failure = kind_of(moment.check).failure
     if not np.isfinite(moment.distance):
-        message = f"no distance between {one} and {other} can be certified"
+        message = f"no distance between {first} and {second} can be certified"
     elif failure:
-        message = failure.format(short=-moment.margin, one=one, other=other, errors=errors)
+        message = failure.format(short=-moment.margin, one=first, other=second, errors=errors)
     else:
         certified = (
-            f"{moment.distance:.3f} m certified between {one} and {other}"
+            f"{moment.distance:.3f} m certified between {first} and {second}"
             if moment.distance > 0
-            else f"{one} and {other} can touch"
+            else f"{first} and {second} can touch"
         )
         message = f"{certified}{errors}; {moment.required:g} m required"
     return at_moment("error", moment.check, message, moment)
@@ -184,7 +184,7 @@ def at_moment(severity: Severity, check: str, message: str, moment: Moment) -> F
 
 def smoothness_findings(plan: Plan) -> list[Finding]:
     """Return errors for jumps of position, velocity or acceleration."""
-    found = []
+    findings = []
     jumps = PlanChecks.of(plan).motion.jumps
     for order, (quantity, unit, allowed) in enumerate(SMOOTH):
         if not jumps.size or jumps[:, order].max() <= allowed:
@@ -195,8 +195,8 @@ def smoothness_findings(plan: Plan) -> list[Finding]:
         place = plan.motion.coefficients[joint + 1, 0, vehicle]
         at = float(plan.motion.times[joint + 1])
         where = (float(place[0]), float(place[1]), float(place[2]))
-        found.append(Finding("error", "smoothness", message, at, where))
-    return found
+        findings.append(Finding("error", "smoothness", message, at, where))
+    return findings
 
 
 def limit_findings(plan: Plan) -> list[Finding]:
@@ -232,9 +232,9 @@ def wind_findings(plan: Plan) -> list[Finding]:
             "of a strand across the wind"
         )
         return [Finding("info", "wind", message)]
-    check, (one, other), time = failed
+    check, (first, second), time = failed
     message = (
-        f"steady wind up to {steady:g} m/s: {check} of {one} and {other} fails (at {time:.2f} s)"
+        f"steady wind up to {steady:g} m/s: {check} of {first} and {second} fails (at {time:.2f} s)"
     )
     return [Finding("error", "wind", message, time)]
 
@@ -304,37 +304,37 @@ _SAME = 1e-6
 
 def load_findings(plan: Plan) -> list[Finding]:
     """Return findings on the loads of the cable, as planned and after a failure."""
-    found = loads(plan)
-    if not len(found.time):
+    load = loads(plan)
+    if not len(load.time):
         return []
     findings = []
     limit = payload_limit(plan)
     for check, values, allowed, subject in (
-        ("payload", found.force, limit, "of cable force on vehicle"),
-        ("tension", found.tension, plan.mission.cable.breaking_load, "of tension in segment"),
+        ("payload", load.force, limit, "of cable force on vehicle"),
+        ("tension", load.tension, plan.mission.cable.breaking_load, "of tension in segment"),
     ):
         instant, index = np.unravel_index(np.argmax(values), values.shape)
         worst = float(values[instant, index])
         message = f"{worst:.2f} N {subject} {index + 1}; {allowed:.2f} N allowed"
         severity: Severity = "error" if worst > allowed else "info"
-        findings.append(Finding(severity, check, message, float(found.time[instant])))
-    return [*findings, *_breakaway_findings(plan, found), *_failure_findings(plan, limit)]
+        findings.append(Finding(severity, check, message, float(load.time[instant])))
+    return [*findings, *_breakaway_findings(plan, load), *_failure_findings(plan, limit)]
 
 
-def _breakaway_findings(plan: Plan, found: Loads) -> list[Finding]:
+def _breakaway_findings(plan: Plan, load: Loads) -> list[Finding]:
     """A tied cable must stay on in normal flight, and break away from a falling vehicle."""
     breakaway = plan.mission.vehicles.breakaway
     if breakaway is None:
         return []
-    instant, index = np.unravel_index(np.argmax(found.force), found.force.shape)
-    worst = float(found.force[instant, index])
+    instant, index = np.unravel_index(np.argmax(load.force), load.force.shape)
+    worst = float(load.force[instant, index])
     weight = plan.mission.vehicles.mass * STANDARD_GRAVITY
     message = (
         f"{worst:.2f} N of cable force on {vehicle_name(int(index))}; the tied cable breaks away "
         f"at {breakaway:g} N"
     )
     severity: Severity = "error" if worst >= breakaway else "info"
-    findings = [Finding(severity, "breakaway", message, float(found.time[instant]))]
+    findings = [Finding(severity, "breakaway", message, float(load.time[instant]))]
     if breakaway >= weight:
         message = (
             f"{breakaway:g} N of breakaway force are more than the weight of a vehicle, "
@@ -391,13 +391,13 @@ def contingencies_of(plan: Plan) -> tuple[Contingencies | None, list[Finding]]:
 
     Cable that is released as planned must not fall on a vehicle.
     """
-    found = contingency_windows(plan)
-    if not len(found.time):
+    windows = contingency_windows(plan)
+    if not len(windows.time):
         return None, []
-    start, end = float(found.time[0]), float(found.time[-1])
+    start, end = float(windows.time[0]), float(windows.time[-1])
     land, release = (
-        Window(found.share(flags, start, end), found.longest_wait(flags, start, end))
-        for flags in (found.land, found.release)
+        Window(windows.share(flags, start, end), windows.longest_wait(flags, start, end))
+        for flags in (windows.land, windows.release)
     )
     stop = longest_stop(plan)
     message = f"{stop.time:.1f} s and {stop.distance:.2f} m for the longest stop along the path"
@@ -413,7 +413,7 @@ def contingencies_of(plan: Plan) -> tuple[Contingencies | None, list[Finding]]:
         for gate in plan.gates
         if gate.condition == "released"
         and gate.time <= end + _SAME
-        and not found.may_fall(gate.time)
+        and not windows.may_fall(gate.time)
     ]
     return Contingencies(land, release, stop.time, stop.distance), findings
 
@@ -426,18 +426,18 @@ def _window_finding(window: Window, action: str) -> Finding:
 
 def downwash_findings(plan: Plan) -> list[Finding]:
     """Return findings on the sinking of a vehicle in the downwash of others."""
-    found = deepest_sinking(plan)
-    if found is None:
+    worst = deepest_sinking(plan)
+    if worst is None:
         return []
     tracking = plan.mission.vehicles.tracking
-    beyond = f", more than the tracking radius of {tracking:g} m" if found.depth > tracking else ""
+    beyond = f", more than the tracking radius of {tracking:g} m" if worst.depth > tracking else ""
     message = (
-        f"{found.depth:.2f} m of sinking for {vehicle_name(found.vehicle)}, {found.below:.1f} m "
-        f"below {vehicle_name(found.above)} in downwash of {found.speed:.1f} m/s "
+        f"{worst.depth:.2f} m of sinking for {vehicle_name(worst.vehicle)}, {worst.below:.1f} m "
+        f"below {vehicle_name(worst.above)} in downwash of {worst.speed:.1f} m/s "
         f"(default gains){beyond}"
     )
-    severity: Severity = "warning" if found.depth > tracking > 0.0 else "info"
-    return [Finding(severity, "downwash", message, found.time)]
+    severity: Severity = "warning" if worst.depth > tracking > 0.0 else "info"
+    return [Finding(severity, "downwash", message, worst.time)]
 
 
 def tolerance_findings(plan: Plan) -> list[Finding]:
@@ -465,11 +465,11 @@ def budget_findings(rows: Iterable[Budget], *, accepted: bool) -> list[Finding]:
 
 
 def _in_words(row: Budget) -> str:
-    one, other = row.between
-    remain = f"{row.remaining:+.2f} m remain between {one} and {other} if all effects come together"
+    part, other = row.between
+    rest = f"{row.remaining:+.2f} m remain between {part} and {other} if all effects come together"
     less = ", ".join(f"{words} {getattr(row, name):.2f} m" for name, words in EFFECTS.items())
     available = f"{row.available:.2f} m at the setpoints"
-    return f"{remain}: {available}, less {less}, required {row.required:g} m"
+    return f"{rest}: {available}, less {less}, required {row.required:g} m"
 
 
 Progress = Callable[[str, float], None]
@@ -515,8 +515,8 @@ def assess(
         *swing_findings(plan, tube),
     ]
     knot = tied_knot(plan)
-    contingencies, found = contingencies_of(plan)
-    findings += [*knot.findings, *found]
+    contingencies, new_findings = contingencies_of(plan)
+    findings += [*knot.findings, *new_findings]
     # A refused plan is not flown, so it needs no certificate of stream losses.
     refused = any(finding.severity == "error" for finding in (*findings, *endurance_findings(plan)))
     stream_loss = None if refused else checks.stream_loss()

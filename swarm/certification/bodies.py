@@ -77,15 +77,15 @@ class Body(NamedTuple):
         ``tip`` (b,) is the height of the body's lowest point: 0, or the grip offset for the disc
         alone. Returns the chords' points and the body's points, each (b, 3).
         """
-        found = np.empty((len(chord), 2, 3))
-        _write_closest(contiguous(chord), contiguous(tip), self, found)
-        return found[:, 0], found[:, 1]
+        points = np.empty((len(chord), 2, 3))
+        _write_closest(contiguous(chord), contiguous(tip), self, points)
+        return points[:, 0], points[:, 1]
 
     def projected(self, point: Floats, tip: Floats) -> Floats:
         """Return the points (b, 3) of the bodies that are closest to the given points (b, 3)."""
-        found = np.empty((len(point), 3))
-        _write_projected(contiguous(point), contiguous(tip), self, found)
-        return found
+        points = np.empty((len(point), 3))
+        _write_projected(contiguous(point), contiguous(tip), self, points)
+        return points
 
 
 class _Kept(NamedTuple):
@@ -129,16 +129,16 @@ def vehicles_and_strands(
     kept = _Kept(contiguous(pairs), np.full(len(pairs), required), diameter)
 
     def evaluate(boxes: Boxes) -> Enclosure:
-        found = Enclosure.not_found(boxes)
-        _write_margins(cable.tables, kept, body, boxes.arrays(), found.arrays())
-        return found
+        bounds = Enclosure.not_found(boxes)
+        _write_margins(cable.tables, kept, body, boxes.arrays(), bounds.arrays())
+        return bounds
 
     return evaluate
 
 
 @compiled
 def _write_margins(
-    cable: CableTables, kept: _Kept, body: Body, boxes: BoxArrays, found: EnclosureArrays
+    cable: CableTables, kept: _Kept, body: Body, boxes: BoxArrays, bounds: EnclosureArrays
 ) -> None:
     """Write the margins of vehicles and pieces of strands in boxes."""
     known, k = -1, boxes.middle.shape[1] - 1
@@ -150,11 +150,11 @@ def _write_margins(
             if is_bounded(gravity):
                 grip, held = _held(cable, kept.pairs[boxes.group[b]], instant, gravity)
         if not is_bounded(gravity):
-            write_unbounded(gravity, b, found)
+            write_unbounded(gravity, b, bounds)
             continue
         piece = held_piece(cable, held, instant, Part(middle[k], half[k], 0.0, 1.0))
         limits = 0.5 * kept.diameter, kept.required[boxes.group[b]], boxes.enough
-        _write_margin(cable, piece, (grip, body), limits, gravity, b, found)
+        _write_margin(cable, piece, (grip, body), limits, gravity, b, bounds)
 
 
 @inner
@@ -182,7 +182,7 @@ def _write_margin(
     limits: tuple[float, float, float],
     gravity: Gravity,
     b: int,
-    found: EnclosureArrays,
+    bounds: EnclosureArrays,
 ) -> None:
     """Write the margin of a vehicle and a piece of a strand.
 
@@ -200,8 +200,8 @@ def _write_margin(
     swing = piece.swing
     kept_apart = reach - _support(body, normal, tip) - piece.bow - shift - swing.most
     largest = largest_movement(cable, piece, normal, gravity)
-    found.low[b] = kept_apart - largest - largest_lean(piece, gravity)
-    if found.low[b] >= enough:
+    bounds.low[b] = kept_apart - largest - largest_lean(piece, gravity)
+    if bounds.low[b] >= enough:
         return
     moves = piece_movement(cable, piece, normal, along, gravity, largest)
     kept = apart_moving(
@@ -214,17 +214,17 @@ def _write_margin(
     )
     high = size(apart) + piece.bow - by_tracking - shift - swing.least
     in_time, rest = max(kept.drift, 0.0) + calm - by_tracking + (swing.most - swing.now), 0.0
-    k = found.doubts.shape[1] - 1
+    k = bounds.doubts.shape[1] - 1
     if k > 1:
         rest = point - calm
-        found.doubts[b, 1], found.doubts[b, 2] = east + 0.5 * rest, north + 0.5 * rest
-    found.doubts[b, 0] = in_time
-    found.doubts[b, k] = high - low - in_time - east - north - rest
+        bounds.doubts[b, 1], bounds.doubts[b, 2] = east + 0.5 * rest, north + 0.5 * rest
+    bounds.doubts[b, 0] = in_time
+    bounds.doubts[b, k] = high - low - in_time - east - north - rest
     touching = -radius - required
     # Surfaces are never nearer than touching, also where an over-stretched strand is bounded poorly
-    found.low[b], found.high[b] = max(low, min(high, touching)), high
+    bounds.low[b], bounds.high[b] = max(low, min(high, touching)), high
     for axis in range(3):
-        found.place[b, axis] = grip.place[axis] + at_strand[axis]
+        bounds.place[b, axis] = grip.place[axis] + at_strand[axis]
 
 
 @inner
@@ -283,22 +283,22 @@ def _support(body: Body, normal: Vector, tip: float) -> float:
 
 
 @compiled
-def _write_closest(chord: Floats3, tip: Floats1, body: Body, found: Floats3) -> None:
+def _write_closest(chord: Floats3, tip: Floats1, body: Body, points: Floats3) -> None:
     """Write the points of :func:`_closest` on chords (b, 2, 3) and on bodies (b, 2, 3)."""
-    for b in range(len(found)):
+    for b in range(len(points)):
         near = chord[b, 0, 0], chord[b, 0, 1], chord[b, 0, 2]
         far = chord[b, 1, 0], chord[b, 1, 1], chord[b, 1, 2]
         _, at_strand, at_body = _closest(near, far, body, tip[b])
         for axis in range(3):
-            found[b, 0, axis], found[b, 1, axis] = at_strand[axis], at_body[axis]
+            points[b, 0, axis], points[b, 1, axis] = at_strand[axis], at_body[axis]
 
 
 @compiled
-def _write_projected(point: Floats2, tip: Floats1, body: Body, found: Floats2) -> None:
+def _write_projected(point: Floats2, tip: Floats1, body: Body, points: Floats2) -> None:
     """Write the points (b, 3) of bodies that are closest to points (b, 3)."""
-    for b in range(len(found)):
+    for b in range(len(points)):
         here = point[b, 0], point[b, 1], point[b, 2]
-        found[b, 0], found[b, 1], found[b, 2] = _project(here, tip[b], body)
+        points[b, 0], points[b, 1], points[b, 2] = _project(here, tip[b], body)
 
 
 @inner

@@ -150,13 +150,13 @@ def search(
             boxes = boxes.taken(relevant(boxes))
         if not len(boxes):
             continue
-        found = evaluated(evaluate, boxes)
-        where = np.flatnonzero(undecided(boxes, found))
+        bounds = evaluated(evaluate, boxes)
+        where = np.flatnonzero(undecided(boxes, bounds))
         if together is None:
-            pending.append(_halved(boxes, found, where, cut))
+            pending.append(_halved(boxes, bounds, where, cut))
             continue
-        where = where[np.argsort(-found.high[where], kind="stable")]
-        boxes = _halved(boxes, found, where, cut)
+        where = where[np.argsort(-bounds.high[where], kind="stable")]
+        boxes = _halved(boxes, bounds, where, cut)
         pending += [
             boxes.taken(slice(begin, begin + together)) for begin in range(0, len(boxes), together)
         ]
@@ -168,14 +168,14 @@ def evaluated(evaluate: Evaluator, boxes: Boxes) -> Enclosure:
     A value that is not a number has the bound −∞, and so has a box whose halves are too narrow to
     have middles of their own: they would leave gaps.
     """
-    found = _in_batches(evaluate, boxes)
-    unknown = np.isnan(found.low) | np.isnan(found.high)
+    bounds = _in_batches(evaluate, boxes)
+    unknown = np.isnan(bounds.low) | np.isnan(bounds.high)
     closed = (boxes.half > 0.0) & (0.5 * boxes.half <= np.spacing(np.abs(boxes.middle)))
     unknown |= closed.any(axis=1)
-    low = np.where(unknown, -np.inf, np.maximum(found.low, boxes.known))
-    high = np.where(unknown, -np.inf, np.maximum(found.high, low))
-    doubts = np.where(np.isnan(found.doubts), np.inf, found.doubts)
-    return replace(found, low=low, high=high, doubts=doubts)
+    low = np.where(unknown, -np.inf, np.maximum(bounds.low, boxes.known))
+    high = np.where(unknown, -np.inf, np.maximum(bounds.high, low))
+    uncertainty = np.where(np.isnan(bounds.doubts), np.inf, bounds.doubts)
+    return replace(bounds, low=low, high=high, doubts=uncertainty)
 
 
 def _in_batches(evaluate: Evaluator, boxes: Boxes) -> Enclosure:
@@ -193,16 +193,16 @@ def _in_batches(evaluate: Evaluator, boxes: Boxes) -> Enclosure:
     )
 
 
-def _halved(boxes: Boxes, found: Enclosure, where: Ints, cut: float) -> Boxes:
+def _halved(boxes: Boxes, bounds: Enclosure, where: Ints, cut: float) -> Boxes:
     """Halve some of the boxes in every coordinate with at least ``cut`` of the largest doubt.
 
     The halves of a box follow each other: what they share is computed once for both.
     """
-    doubts = found.doubts[where]
-    splits = doubts >= cut * reduce(np.maximum, doubts.T)[:, None]
+    uncertainty = bounds.doubts[where]
+    splits = uncertainty >= cut * reduce(np.maximum, uncertainty.T)[:, None]
     parts = 1 << splits.sum(axis=1)
-    group, known = np.repeat(boxes.group[where], parts), np.repeat(found.low[where], parts)
-    middle, half = np.empty((2, len(group), doubts.shape[1]))
+    group, known = np.repeat(boxes.group[where], parts), np.repeat(bounds.low[where], parts)
+    middle, half = np.empty((2, len(group), uncertainty.shape[1]))
     _write_halves(boxes.arrays(), where, splits, middle, half)
     return Boxes(group, middle, half, known, boxes.enough)
 

@@ -178,13 +178,13 @@ class _Strand:
 
     def response(self, ends: int = BOTH_ENDS) -> float:
         """Largest movement along the normal per metre of error of the given ends."""
-        one, drawn = np.ones(1), self.drawn
+        ones, drawn = np.ones(1), self.drawn
         strands = solve_catenaries(drawn.start[None], drawn.end[None], drawn.length[None])
-        found = linear_response(
-            strands, self.fraction * one, np.array([ends]), self.normal[None],
-            (self.fraction * one, self.fraction * one), 0.0 * one,
+        response = linear_response(
+            strands, self.fraction * ones, np.array([ends]), self.normal[None],
+            (self.fraction * ones, self.fraction * ones), 0.0 * ones,
         )  # fmt: skip
-        return float(found.at_point[0]) if found.known[0] else 1.0
+        return float(response.at_point[0]) if response.known[0] else 1.0
 
 
 def budgets(plan: Plan, moments: Iterable[Moment]) -> tuple[Budget, ...]:
@@ -210,15 +210,15 @@ def _budget_at(
     Swing in flight and swing by tracking errors come together; in a long hold the first has
     decayed, and the second has grown to what air damps. The larger sum counts.
     """
-    found = _effects(checks, between, time, required, pairs and pairs.start)
+    effects = _effects(checks, between, time, required, pairs and pairs.start)
     if pairs is None:
-        return found.row
+        return effects.row
     close = pairs.close
-    near = (close.pairs == found.segments).all(axis=1) & (np.abs(close.times - time) <= BIN)
+    near = (close.pairs == effects.segments).all(axis=1) & (np.abs(close.times - time) <= BIN)
     swing = float(pairs.approach[near].max(initial=0.0))
-    if swing + found.moving > found.held:
-        return replace(found.row, swing=swing, excited=found.moving)
-    return replace(found.row, swing=0.0, excited=found.held)
+    if swing + effects.moving > effects.held:
+        return replace(effects.row, swing=swing, excited=effects.moving)
+    return replace(effects.row, swing=0.0, excited=effects.held)
 
 
 class _Effects(NamedTuple):
@@ -270,7 +270,7 @@ def _effects(
         required=required,
     )
     moving, held = (
-        DEVIATIONS * math.sqrt(sum(getattr(one, name) for one in excited))
+        DEVIATIONS * math.sqrt(sum(getattr(variances, name) for variances in excited))
         for name in ("moving", "held")
     )
     return _Effects(row, segments, moving, held)
@@ -282,10 +282,10 @@ def _grip(plan: Plan, acceleration: Floats, strands: tuple["_Strand", "_Strand"]
     heading = np.arctan2(acceleration[:, 1], acceleration[:, 0])
     level = np.stack([np.cos(heading), np.sin(heading), 0.0 * heading], axis=1)
     moved = -plan.mission.vehicles.grip_offset * np.sin(tilt)[:, None] * level
-    one, other = (
+    first, second = (
         strand.displaced(moved[strand.segment], moved[strand.segment + 1]) for strand in strands
     )
-    return max(0.0, other - one)
+    return max(0.0, second - first)
 
 
 def _sway(plan: Plan, acceleration: Floats, strands: tuple["_Strand", "_Strand"]) -> float:
@@ -324,26 +324,26 @@ def _closest(
         for (start, end), length in zip(ends, lengths, strict=True)
     ]
     pairs, parts = all_pairs(plan.layout.lengths, exempt_length(plan))
-    found = []
+    candidates = []
     for compared in parts[(pairs == segments).all(axis=1)]:
         first = np.ceil(compared[:, 0] * PIECES).astype(np.intp)
         last = np.floor(compared[:, 1] * PIECES).astype(np.intp) + 1
         a, b = (p[i:j] for p, i, j in zip(points, first, last, strict=True))
         closest = polyline_polyline(a, b)
-        found.append((closest.distance, first[0] + closest.first, first[1] + closest.second))
-    at = min(found)[1:]
+        candidates.append((closest.distance, first[0] + closest.first, first[1] + closest.second))
+    at = min(candidates)[1:]
     fractions = [float(index) / PIECES for index in at]
     spots = [p[round(float(index))] for p, index in zip(points, at, strict=True)]
     apart = spots[0] - spots[1]
     size = float(np.linalg.norm(apart))
     normal = apart / size if size > 1e-9 else np.array([0.0, 0.0, 1.0])
-    one, other = (
+    strand, other = (
         _Strand(segment, start, end, length, fraction, normal)
         for segment, (start, end), length, fraction in zip(
             segments, ends, lengths, fractions, strict=True
         )
     )
-    return size - plan.mission.cable.diameter, (one, other)
+    return size - plan.mission.cable.diameter, (strand, other)
 
 
 def effective_gravity(acceleration: Floats) -> Floats:
@@ -371,15 +371,15 @@ def _wind(plan: Plan, strands: tuple[_Strand, _Strand]) -> float:
     steady, gust = plan.mission.wind.steady, plan.mission.wind.gust
     if steady + gust == 0.0:
         return 0.0
-    one, other = strands
+    first, second = strands
     worst = 0.0
     for k, share in product(range(DIRECTIONS), SPEEDS):
         heading, wind = 2.0 * math.pi * k / DIRECTIONS, share * steady
         calm, gusty = (wind_down(plan, speed, heading) for speed in (wind, wind + gust))
         worst = max(
             worst,
-            abs(one.movement(down=gusty) - other.movement(down=calm)),
-            abs(one.movement(down=calm) - other.movement(down=gusty)),
+            abs(first.movement(down=gusty) - second.movement(down=calm)),
+            abs(first.movement(down=calm) - second.movement(down=gusty)),
         )
     return worst
 
@@ -389,8 +389,8 @@ def _wash(plan: Plan, place: Floats, strands: tuple[_Strand, _Strand]) -> float:
 
     The strand that is pressed away from the other one may be spared, and does not count.
     """
-    one, other = (float(_pressed(plan, place, strand) @ strand.normal) for strand in strands)
-    return max(0.0, -one) + max(0.0, other)
+    first, second = (float(_pressed(plan, place, strand) @ strand.normal) for strand in strands)
+    return max(0.0, -first) + max(0.0, second)
 
 
 def _pressed(plan: Plan, place: Floats, strand: _Strand) -> Floats:
@@ -445,18 +445,18 @@ def short_moments(plan: Plan, swing: PairSwing) -> tuple[ShortBudget, ...]:
 
     At all moments the other effects of a pair count as at its moment in :func:`smallest_budgets`.
     """
-    found: list[ShortBudget] = []
-    close, left = swing.close, swing.close.left - swing.approach
-    for at, row in _rows(plan, swing, left):
+    moments: list[ShortBudget] = []
+    close, margins = swing.close, swing.close.left - swing.approach
+    for at, row in _rows(plan, swing, margins):
         pair = close.pairs[at]
         check = "neighbouring segments" if pair[1] == pair[0] + 1 else "cable clearance"
-        short = left - (left[at] - row.remaining)
+        short = margins - (margins[at] - row.remaining)
         at_fault = np.flatnonzero((close.pairs == pair).all(axis=1) & (short < 0.0))
-        found += [
+        moments += [
             ShortBudget(check, float(close.times[k]), -float(short[k]), float(swing.approach[k]))
             for k in at_fault
         ]
-    return tuple(found)
+    return tuple(moments)
 
 
 def needed_distances(plan: Plan, swing: PairSwing) -> Floats:
@@ -465,17 +465,17 @@ def needed_distances(plan: Plan, swing: PairSwing) -> Floats:
     As :func:`short_moments` has it; the other effects of pairs that have no row there count as
     nothing.
     """
-    close, left = swing.close, swing.close.left - swing.approach
-    needed: Floats = close.available - left
-    for at, row in _rows(plan, swing, left):
-        needed[(close.pairs == close.pairs[at]).all(axis=1)] += left[at] - row.remaining
+    close, margins = swing.close, swing.close.left - swing.approach
+    needed: Floats = close.available - margins
+    for at, row in _rows(plan, swing, margins):
+        needed[(close.pairs == close.pairs[at]).all(axis=1)] += margins[at] - row.remaining
     return needed
 
 
-def _rows(plan: Plan, swing: PairSwing, left: Floats) -> list[tuple[int, Budget]]:
+def _rows(plan: Plan, swing: PairSwing, margins: Floats) -> list[tuple[int, Budget]]:
     """Return the close pair of strands and the row, for each of the pairs with the least left."""
     chosen: dict[tuple[int, int], int] = {}
-    for row in np.argsort(left, kind="stable").tolist():
+    for row in np.argsort(margins, kind="stable").tolist():
         i, j = swing.close.pairs[row].tolist()
         chosen.setdefault((i, j), row)
         if len(chosen) == _PAIRS:

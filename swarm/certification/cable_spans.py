@@ -110,42 +110,42 @@ def _order_problems(plan: Plan) -> list[tuple[str, float]]:
     start, end = float(plan.motion.times[0]), float(plan.motion.times[-1])
     if not plan.phases:
         return [("the plan has no phases", start)]
-    found: list[tuple[str, float]] = []
+    problems: list[tuple[str, float]] = []
     clock, before = start, None
     for phase in plan.phases:
         if not (phase.start == clock and phase.end >= phase.start):
-            found.append(
+            problems.append(
                 (f"{phase.name} lasts from {phase.start:g} to {phase.end:g} s, but the phase "
                  f"before it ends at {clock:g} s", clock)
             )  # fmt: skip
         wrong = phase_order_error(before, phase.name)
         if wrong:
-            found.append((f"the order of the phases is not allowed: {wrong}", phase.start))
+            problems.append((f"the order of the phases is not allowed: {wrong}", phase.start))
         clock, before = phase.end, phase.name
     if clock != end:
-        found.append((f"the phases end at {clock:g} s and the motion at {end:g} s", end))
-    return found
+        problems.append((f"the phases end at {clock:g} s and the motion at {end:g} s", end))
+    return problems
 
 
 def _state_problems(plan: Plan, order: DeclaredCable) -> list[tuple[str, float]]:
     """Phases whose state of the cable does not follow from their order."""
-    found = []
+    problems = []
     for index, (phase, expected) in enumerate(zip(plan.phases, order.cable, strict=True)):
         free = not order.held_from <= index < order.held_until
         if phase.cable == expected or (free and phase.cable in {"floor", "free"}):
             continue
-        found.append(
+        problems.append(
             (f"{phase.name} has the cable {phase.cable}; expected {expected}, by the times of the "
              f"grip and the release", phase.start)
         )  # fmt: skip
-    return found
+    return problems
 
 
 def _gate_problems(
     plan: Plan, order: DeclaredCable, gripped: float, released: float
 ) -> list[tuple[str, float]]:
     """Gates at which vehicles grip or release against the order of phases."""
-    found = []
+    problems = []
     last = plan.phases[order.held_until].end if order.inner_first else released
     for gate in plan.gates:
         match gate.condition:
@@ -160,8 +160,8 @@ def _gate_problems(
         if gate.time in ([float(plan.motion.times[-1])] if never else allowed):
             continue
         message = f"vehicles {what} at {gate.time:g} s; no phase that allows it ends there"
-        found.append((message, gate.time))
-    return found
+        problems.append((message, gate.time))
+    return problems
 
 
 def _floor_problems(
@@ -173,17 +173,17 @@ def _floor_problems(
         before = order.cable[order.held_until - 1]
         if before in {"floor", "landing"}:
             moments.append((released, "release"))
-    found = []
+    problems = []
     for time, what in moments:
         highest = float(plan.motion.at(time)[0][:, 2].max())
         if not highest <= LYING:
-            found.append(
+            problems.append(
                 (
                     f"vehicles {what} the cable on the floor, but hold it {highest:.2f} m above it",
                     time,
                 )
             )
-    return found
+    return problems
 
 
 Floats = npt.NDArray[np.float64]
@@ -206,8 +206,8 @@ def exempt_length(plan: Plan) -> float:
 def exempt_lengths(lengths: Floats, beyond: float) -> Floats:
     """Return the exempt lengths (n − 2,) on either side of the inner vehicles, metres."""
     shorter = np.minimum(lengths[:-1], lengths[1:])
-    found: Floats = np.minimum(beyond, MOST_EXEMPT * shorter)
-    return found
+    exempt: Floats = np.minimum(beyond, MOST_EXEMPT * shorter)
+    return exempt
 
 
 def all_pairs(lengths: Floats, beyond: float, *, once: bool = False) -> tuple[Ints, Floats]:

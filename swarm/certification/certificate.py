@@ -80,7 +80,7 @@ class Certificate:
 
     def _repr_html_(self) -> str:
         cleared, *held = self._summary()
-        rows = [(found.severity, f"{found.check}: {found.message}") for found in self.findings]
+        rows = [(entry.severity, f"{entry.check}: {entry.message}") for entry in self.findings]
         return table(f"Certificate: {', '.join((cleared, *held))}", rows)
 
     def _summary(self) -> list[str]:
@@ -111,8 +111,8 @@ def certify(
     ``progress`` is called with the name of a stage and the share of it that is done. With
     ``robustness``, e* and w* are computed too.
     """
-    found = assess(plan, progress=progress, robustness=robustness)
-    return Certificate(digest(plan), found, plan.mission.vehicles.tracking, _CONSTRUCTION_KEY)
+    assessment = assess(plan, progress=progress, robustness=robustness)
+    return Certificate(digest(plan), assessment, plan.mission.vehicles.tracking, _CONSTRUCTION_KEY)
 
 
 def certify_robustness(
@@ -123,8 +123,8 @@ def certify_robustness(
     Raises :class:`Refused` where it belongs to another plan.
     """
     require_same_plan(plan, certificate)
-    found = with_robustness(plan, certificate.assessment, progress)
-    return replace(certificate, assessment=found, key=_CONSTRUCTION_KEY)
+    assessment = with_robustness(plan, certificate.assessment, progress)
+    return replace(certificate, assessment=assessment, key=_CONSTRUCTION_KEY)
 
 
 def with_recorded_robustness(
@@ -137,8 +137,8 @@ def with_recorded_robustness(
     Raises :class:`Refused` where the certificate belongs to another plan.
     """
     require_same_plan(plan, certificate)
-    found = replace(certificate.assessment, robustness=confirmed(plan, recorded))
-    return replace(certificate, assessment=found, key=_CONSTRUCTION_KEY)
+    assessment = replace(certificate.assessment, robustness=confirmed(plan, recorded))
+    return replace(certificate, assessment=assessment, key=_CONSTRUCTION_KEY)
 
 
 def without_cable(plan: Plan) -> Plan:

@@ -250,14 +250,14 @@ def tightest_moments(
         for family in families(plan, tracking, tilt)
         if checks is None or family.check in checks
     ]
-    found: list[Moment] = []
+    tightest: list[Moment] = []
     for done, moments in enumerate(side_by_side(moments_of, chosen)):
         if progress:
             progress("certificate", done / len(chosen))
-        found += moments
+        tightest += moments
     if progress:
         progress("certificate", 1.0)
-    return tuple(found)
+    return tuple(tightest)
 
 
 def violations(plan: Plan, *, swinging: bool = True) -> tuple[Moment, ...]:
@@ -400,13 +400,13 @@ def robustness_of(
     stage = "largest tracking error and steady wind"
     if progress:
         progress(stage, 0.0)
-    found: list[float | None] = []
+    largest: list[float | None] = []
     searches = largest_tracking, largest_wind
     for value in side_by_side(lambda search: search(plan, moments), searches):
-        found.append(value)
+        largest.append(value)
         if progress:
-            progress(stage, len(found) / len(searches))
-    tracking, wind = found
+            progress(stage, len(largest) / len(searches))
+    tracking, wind = largest
     return Robustness(tracking, wind)
 
 
@@ -458,9 +458,9 @@ def failure_in_wind(plan: Plan, speed: float) -> tuple[str, tuple[str, str], flo
     At the mission's tracking radius, for all headings; None where all checks hold.
     """
     for family in _windy(plan)(speed):
-        found = family.failing()
-        if found is not None:
-            return family.check, family.names[found[0]], found[1]
+        failure = family.failing()
+        if failure is not None:
+            return family.check, family.names[failure[0]], failure[1]
     return None
 
 

@@ -179,9 +179,9 @@ def above_rotors(plan: Plan, position: Floats) -> Flags:
     and AROUND_ROTORS.
     """
     vehicles, lengths = plan.mission.vehicles, plan.layout.lengths
-    found = np.zeros((*position.shape[:2], len(lengths)), dtype=bool)
+    hits = np.zeros((*position.shape[:2], len(lengths)), dtype=bool)
     if not len(lengths):
-        return found
+        return hits
     cable, apart = _cable_points(plan, position)
     reach = vehicles.radius + vehicles.tracking + AROUND_ROTORS
     # The middle between two points is nearer than both.
@@ -194,8 +194,8 @@ def above_rotors(plan: Plan, position: Floats) -> Flags:
     above = cable[:, None, :, 2] > rotors
     hit = (aside < reach) & above
     for strand in range(len(lengths)):
-        found[..., strand] = hit[..., strand * _PIECES : (strand + 1) * _PIECES + 1].any(axis=-1)
-    return found
+        hits[..., strand] = hit[..., strand * _PIECES : (strand + 1) * _PIECES + 1].any(axis=-1)
+    return hits
 
 
 def _vehicles_apart(plan: Plan, position: Floats) -> Flags:

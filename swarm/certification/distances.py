@@ -310,11 +310,11 @@ def closest_strands(strands: Floats, pairs: Ints) -> tuple[float, int, int]:
     Returns the distance, the index of its instant and the index of its pair.
     """
     low, high = strands.min(axis=2), strands.max(axis=2)
-    one, other = pairs.T
-    gap = np.maximum(low[:, one] - high[:, other], low[:, other] - high[:, one])
+    first, second = pairs.T
+    gap = np.maximum(low[:, first] - high[:, second], low[:, second] - high[:, first])
 
     def measured(instant: Ints, pair: Ints) -> Floats:
-        both = strands[instant, one[pair]], strands[instant, other[pair]]
+        both = strands[instant, first[pair]], strands[instant, second[pair]]
         return polyline_polyline(*both).distance
 
     return _smallest(np.linalg.norm(np.maximum(gap, 0.0), axis=-1), measured)

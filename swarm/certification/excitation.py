@@ -74,15 +74,15 @@ class Modes:
         first = min(int(fraction * links), links - 1)
         share = fraction * links - first
         point = (1.0 - share) * self.shapes[first] + share * self.shapes[first + 1]
-        found: Floats = normal @ point
-        return found
+        movement: Floats = normal @ point
+        return movement
 
 
 def density(frequency: Floats, tracking: float) -> Floats:
     """Return the spectral density of tracking errors at frequencies (…,) in Hz, in m²/Hz."""
     share = (tracking / MEASURED_AT) ** 2
-    found: Floats = share * DENSITY * (CORNER / np.maximum(frequency, CORNER)) ** SLOPE
-    return found
+    spectrum: Floats = share * DENSITY * (CORNER / np.maximum(frequency, CORNER)) ** SLOPE
+    return spectrum
 
 
 def modes(strand: Catenaries, links: int = _LINKS) -> Modes:
@@ -123,7 +123,7 @@ class Variances:
 
 
 def variances_along(
-    found: Modes, at: tuple[float, Floats], tracking: float, drag: float, speeds: Floats
+    modes: Modes, at: tuple[float, Floats], tracking: float, drag: float, speeds: Floats
 ) -> Variances:
     """Return the variances of the swing of a point of a strand along a unit vector.
 
@@ -132,8 +132,8 @@ def variances_along(
     it came aloft at rest.
 
     """
-    moving, held = modal_variances(found, tracking, drag, speeds)
-    weights = found.along(*at) ** 2
+    moving, held = modal_variances(modes, tracking, drag, speeds)
+    weights = modes.along(*at) ** 2
     return Variances(float(weights @ moving), float(weights @ held))
 
 
@@ -143,21 +143,21 @@ def speeds_across(places: Floats, velocities: Floats) -> Floats:
     chord /= np.linalg.norm(chord, axis=1, keepdims=True)
     mean = velocities.mean(axis=1)
     across = mean - np.einsum("ki,ki->k", mean, chord)[:, None] * chord
-    found: Floats = np.linalg.norm(across, axis=1)
-    return found
+    speeds: Floats = np.linalg.norm(across, axis=1)
+    return speeds
 
 
-def largest_deviation(found: Modes, variances: Floats) -> float:
+def largest_deviation(modes: Modes, variances: Floats) -> float:
     """Return the largest standard deviation of any joint in any direction, metres.
 
     ``variances`` (k,) are those of the modes, as of :func:`modal_variances`.
     """
-    spread = np.einsum("jxk,jyk,k->jxy", found.shapes, found.shapes, variances)
+    spread = np.einsum("jxk,jyk,k->jxy", modes.shapes, modes.shapes, variances)
     return math.sqrt(max(float(np.linalg.eigvalsh(spread).max()), 0.0))
 
 
 def modal_variances(
-    found: Modes, tracking: float, drag: float, speeds: Floats
+    modes: Modes, tracking: float, drag: float, speeds: Floats
 ) -> tuple[Floats, Floats]:
     """Return the variances (k,) of a strand's modes in motion, and after a long hold.
 
@@ -165,11 +165,11 @@ def modal_variances(
     of a mode of frequency f approaches Γ²·S·πf / 4ζ (Crandall and Mark 1963, 2.3) with the time
     constant 1 / 4πζf.
     """
-    frequency = found.frequencies
-    drive = (found.participation**2).sum(axis=1) * density(frequency, tracking)
+    frequency = modes.frequencies
+    drive = (modes.participation**2).sum(axis=1) * density(frequency, tracking)
     drive *= math.pi * frequency / 4.0
-    square = np.ascontiguousarray((found.shapes**2).sum(axis=1))
-    driven = _Driven(frequency, drive, square, drag * found.mass)
+    square = np.ascontiguousarray((modes.shapes**2).sum(axis=1))
+    driven = _Driven(frequency, drive, square, drag * modes.mass)
     moving, held = np.zeros_like(drive), drive / 0.01
     _settle(driven, held)
     _follow(driven, np.ascontiguousarray(speeds), moving)
@@ -258,10 +258,10 @@ def _excited_swing(plan: Plan, since: float, time: float) -> Floats:
     drag = cable_model(cable.mass_per_length, cable.diameter).normal_drag
     place, velocity, _ = plan.motion.at(np.arange(max(since, time - _PAST), time, STEP))
     now = plan.motion.at(time)[0]
-    found = np.empty(len(lengths))
+    deviations = np.empty(len(lengths))
     for k, length in enumerate(lengths.tolist()):
         strand = modes(solve_catenaries(now[k][None], now[k + 1][None], np.array([length])))
         speeds = speeds_across(place[:, k : k + 2], velocity[:, k : k + 2])
         moving, _ = modal_variances(strand, plan.mission.vehicles.tracking, drag, speeds)
-        found[k] = largest_deviation(strand, moving)
-    return found
+        deviations[k] = largest_deviation(strand, moving)
+    return deviations

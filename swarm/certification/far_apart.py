@@ -69,12 +69,12 @@ class FarPairs:
 
     def __call__(self, boxes: Boxes) -> Flags:
         """Return whether pairs are shown to keep the distance in boxes of whole strands."""
-        found = np.empty(len(boxes), dtype=np.bool_)
+        far = np.empty(len(boxes), dtype=np.bool_)
         team, instant = _team_of(self.cable, boxes)
         pairs = np.ascontiguousarray(self.pairs[boxes.group])
         cable, which = _cable_of(self.cable), (instant, pairs)
-        _write_far_strands(team, cable, which, self.distance, _memory(), found)
-        return found
+        _write_far_strands(team, cable, which, self.distance, _memory(), far)
+        return far
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +93,12 @@ class FarVehicles:
 
     def __call__(self, boxes: Boxes) -> Flags:
         """Return whether pairs are shown to keep the distance in boxes of whole strands."""
-        found = np.empty(len(boxes), dtype=np.bool_)
+        far = np.empty(len(boxes), dtype=np.bool_)
         team, instant = _team_of(self.cable, boxes)
         pairs = np.ascontiguousarray(self.pairs[boxes.group])
         cable, body = _cable_of(self.cable), _Body(self.radius, self.height, self.distance)
-        _write_far_vehicles(team, cable, (instant, pairs), body, _memory(), found)
-        return found
+        _write_far_vehicles(team, cable, (instant, pairs), body, _memory(), far)
+        return far
 
 
 def _memory() -> _Memory:
@@ -205,7 +205,7 @@ def _apart(boxes: Floats, distance: float) -> bool:
     """Return whether two boxes (2, 6) are farther apart than a distance."""
     square = 0.0
     for axis in range(3):
-        one = boxes[0, axis] - boxes[1, 3 + axis]
-        gap = max(one, boxes[1, axis] - boxes[0, 3 + axis], 0.0)
+        beyond = boxes[0, axis] - boxes[1, 3 + axis]
+        gap = max(beyond, boxes[1, axis] - boxes[0, 3 + axis], 0.0)
         square += gap * gap
     return bool(square > distance * distance)

@@ -174,8 +174,8 @@ class Case(NamedTuple):
             case "lifted or hanging":
                 return spans.hanging
             case _:
-                found: Spans = getattr(spans, when)
-                return found
+                periods: Spans = getattr(spans, when)
+                return periods
 
     def segments(self, other: str) -> Names:
         """Return the names of each segment and another object."""

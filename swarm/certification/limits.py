@@ -77,10 +77,10 @@ def above_floor(cable: HeldCable, diameter: float, required: float) -> Evaluator
         return beside_solids(cable, rows([FLOOR]), pairs, diameter, required)
 
     def evaluate(boxes: Boxes) -> Enclosure:
-        found = Enclosure.not_found(boxes)
+        bounds = Enclosure.not_found(boxes)
         limits = 0.5 * diameter, required
-        _write_heights(cable.tables, limits, boxes.arrays(), found.arrays())
-        return found
+        _write_heights(cable.tables, limits, boxes.arrays(), bounds.arrays())
+        return bounds
 
     return evaluate
 
@@ -95,9 +95,9 @@ def beside_solids(
     kept = contiguous(pairs), contiguous(solids), 0.5 * diameter, required
 
     def evaluate(boxes: Boxes) -> Enclosure:
-        found = Enclosure.not_found(boxes)
-        _write_beside_solids(cable.tables, *kept, boxes.arrays(), found.arrays())
-        return found
+        bounds = Enclosure.not_found(boxes)
+        _write_beside_solids(cable.tables, *kept, boxes.arrays(), bounds.arrays())
+        return bounds
 
     return evaluate
 
@@ -157,7 +157,7 @@ def derivative_limit(motion: BoundedMotion, largest: float, order: Literal[1, 2]
 
 @compiled
 def _write_heights(
-    cable: CableTables, heights: tuple[float, float], boxes: BoxArrays, found: EnclosureArrays
+    cable: CableTables, heights: tuple[float, float], boxes: BoxArrays, bounds: EnclosureArrays
 ) -> None:
     """Write the margins of strands' lowest points to the sum of two ``heights``."""
     for b in range(len(boxes.group)):
@@ -168,8 +168,8 @@ def _write_heights(
         high = lowest[2] - still - heights[0] - heights[1]
         # The whole strand's sensitivity bounds the lowest point's: only time is halved.
         doubt = max(moved - still, 0.0)
-        found.low[b], found.high[b], found.doubts[b, 0] = high - doubt, high, doubt
-        found.place[b, 0], found.place[b, 1], found.place[b, 2] = lowest
+        bounds.low[b], bounds.high[b], bounds.doubts[b, 0] = high - doubt, high, doubt
+        bounds.place[b, 0], bounds.place[b, 1], bounds.place[b, 2] = lowest
 
 
 @inner
@@ -192,7 +192,7 @@ def _lowest(cable: CableTables, segment: int, instant: Instant) -> tuple[float, 
 @compiled
 def _write_beside_solids(
     cable: CableTables, pairs: Ints2, solids: Floats2, radius: float, required: float,
-    boxes: BoxArrays, found: EnclosureArrays,
+    boxes: BoxArrays, bounds: EnclosureArrays,
 ) -> None:  # fmt: skip
     """Write the margins of pieces of strands of a radius beside solids (m, 12)."""
     known, k = -1, boxes.middle.shape[1] - 1
@@ -208,18 +208,18 @@ def _write_beside_solids(
                 displacement = Displacement(along, BOTH_ENDS, cable.tracking, 0.0)
                 held = held_strand(cable, segment, grips, instant, displacement, gravity)
         if not is_bounded(gravity):
-            write_unbounded(gravity, b, found)
+            write_unbounded(gravity, b, bounds)
             continue
         piece = held_piece(cable, held, instant, Part(middle[k], half[k], 0.0, 1.0))
         here, normal, wall = plane_between(solid, piece.near, piece.far)
-        low, high, doubts = kept_from_plane(cable, piece, normal, here, gravity)
-        found.low[b] = low - wall - radius - required
-        found.high[b] = high - wall - radius - required
-        found.doubts[b, 0], found.doubts[b, k] = doubts[0], doubts[3]
+        low, high, uncertainty = kept_from_plane(cable, piece, normal, here, gravity)
+        bounds.low[b] = low - wall - radius - required
+        bounds.high[b] = high - wall - radius - required
+        bounds.doubts[b, 0], bounds.doubts[b, k] = uncertainty[0], uncertainty[3]
         if k > 1:
-            found.doubts[b, 1], found.doubts[b, 2] = doubts[1], doubts[2]
+            bounds.doubts[b, 1], bounds.doubts[b, 2] = uncertainty[1], uncertainty[2]
         for axis in range(3):
-            found.place[b, axis] = 0.5 * (piece.near[axis] + piece.far[axis])
+            bounds.place[b, axis] = 0.5 * (piece.near[axis] + piece.far[axis])
 
 
 @inner
@@ -243,8 +243,8 @@ def _level_velocity(grips: tuple[Grip, Grip]) -> Vector:
 
 @inner
 def _mean_velocity(grips: tuple[Grip, Grip]) -> Vector:
-    one, other = grips[0].velocity, grips[1].velocity
-    return 0.5 * (one[0] + other[0]), 0.5 * (one[1] + other[1]), 0.5 * (one[2] + other[2])
+    first, second = grips[0].velocity, grips[1].velocity
+    return 0.5 * (first[0] + second[0]), 0.5 * (first[1] + second[1]), 0.5 * (first[2] + second[2])
 
 
 _OUTSIDE = 1e-6
@@ -280,12 +280,12 @@ def inside_fence_in_wind(cable: HeldCable, fence: Floats, diameter: float) -> Ev
     """
 
     def evaluate(boxes: Boxes) -> Enclosure:
-        found = Enclosure.not_found(boxes)
+        bounds = Enclosure.not_found(boxes)
         sides, chord = contiguous(sides_of(fence)), np.empty((2, 3))
         _write_inside_in_wind(
-            cable.tables, sides, 0.5 * diameter, boxes.arrays(), chord, found.arrays()
+            cable.tables, sides, 0.5 * diameter, boxes.arrays(), chord, bounds.arrays()
         )
-        return found
+        return bounds
 
     return evaluate
 
@@ -294,9 +294,9 @@ def inside_fence_by(lines: Floats, fence: Floats) -> Floats:
     """Return how far polylines (…, m, 3) are from a fence (m, 2) in plan view; negative outside."""
     pieces = np.stack([lines[..., :-1, :], lines[..., 1:, :]], axis=-2)
     every = pieces.reshape(-1, 2, 3)
-    found = np.empty(len(every))
-    _write_inside(contiguous(every), contiguous(sides_of(fence)), np.empty((2, 3)), found)
-    least: Floats = found.reshape(pieces.shape[:-2]).min(axis=-1)
+    margins = np.empty(len(every))
+    _write_inside(contiguous(every), contiguous(sides_of(fence)), np.empty((2, 3)), margins)
+    least: Floats = margins.reshape(pieces.shape[:-2]).min(axis=-1)
     return least
 
 
@@ -307,10 +307,10 @@ def sides_of(fence: Floats) -> Floats:
 
 
 @compiled
-def _write_inside(ends: Floats3, sides: Floats3, chord: Floats2, found: Floats1) -> None:
+def _write_inside(ends: Floats3, sides: Floats3, chord: Floats2, margins: Floats1) -> None:
     """Write :func:`inside_by` of objects (b, 2, 3)."""
-    for b in range(len(found)):
-        found[b] = inside_by(ends[b, 0], ends[b, 1], sides, chord)
+    for b in range(len(margins)):
+        margins[b] = inside_by(ends[b, 0], ends[b, 1], sides, chord)
 
 
 @inner
@@ -332,7 +332,7 @@ def inside_by(start: Floats, end: Floats, sides: Floats, chord: Floats) -> float
 @compiled
 def _write_inside_in_wind(
     cable: CableTables, sides: Floats3, radius: float, boxes: BoxArrays, chord: Floats2,
-    found: EnclosureArrays,
+    bounds: EnclosureArrays,
 ) -> None:  # fmt: skip
     """Write the margins of strands of a radius to the sides (m, 2, 3) of a fence, in boxes.
 
@@ -342,7 +342,7 @@ def _write_inside_in_wind(
         middle, half, segment = boxes.middle[b], boxes.half[b], boxes.group[b]
         gravity = gravity_in(cable, middle, half)
         if not is_bounded(gravity):
-            write_unbounded(gravity, b, found)
+            write_unbounded(gravity, b, bounds)
             continue
         instant = instant_at(cable.motion, middle[0], half[0])
         grips = ends_at(cable.motion, instant, segment)
@@ -351,16 +351,16 @@ def _write_inside_in_wind(
         piece = held_piece(cable, held, instant, Part(middle[3], half[3], 0.0, 1.0))
         low, high = np.inf, np.inf
         for side in sides:
-            to_low, to_high, doubts = _from_wall(cable, piece, side, chord, gravity)
+            to_low, to_high, uncertainty = _from_wall(cable, piece, side, chord, gravity)
             low, high = min(low, to_low - radius), min(high, to_high - radius)
             for k in range(4):
-                found.doubts[b, k] = max(found.doubts[b, k], doubts[k])
+                bounds.doubts[b, k] = max(bounds.doubts[b, k], uncertainty[k])
         if not (_within(grips[0].place, sides) and _within(grips[1].place, sides)):
             # A strand with a grip outside is outside, at whatever distance.
             low, high = min(low, -_OUTSIDE), min(high, -_OUTSIDE)
-        found.low[b], found.high[b] = low, high
+        bounds.low[b], bounds.high[b] = low, high
         for axis in range(3):
-            found.place[b, axis] = 0.5 * (piece.near[axis] + piece.far[axis])
+            bounds.place[b, axis] = 0.5 * (piece.near[axis] + piece.far[axis])
 
 
 @inner
@@ -378,8 +378,8 @@ def _from_wall(
     at_strand = moved(near, here, difference(far, near))
     normal = unit(difference(at_strand, moved(begin, there, difference(end, begin))))
     wall = max(dot(begin, normal), dot(end, normal))
-    low, high, doubts = kept_from_plane(cable, piece, normal, here, gravity)
-    return low - wall, high - wall, doubts
+    low, high, uncertainty = kept_from_plane(cable, piece, normal, here, gravity)
+    return low - wall, high - wall, uncertainty
 
 
 @inner

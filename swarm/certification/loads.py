@@ -105,7 +105,7 @@ def failed_vehicle_load(plan: Plan) -> FailureLoad | None:
     weight = plan.mission.vehicles.mass * STANDARD_GRAVITY
     own = np.hypot(planned.vertical, planned.horizontal)
     lengths, last = plan.layout.lengths, plan.vehicles - 1
-    found = [
+    failures = [
         _largest(own[:, vehicle] + weight, planned.time, vehicle, failed)
         for vehicle, failed in ((1, 0), (last - 1, last))
     ]
@@ -114,11 +114,11 @@ def failed_vehicle_load(plan: Plan) -> FailureLoad | None:
             position[:, failed - 1], position[:, failed + 1], lengths[failed - 1], lengths[failed],
             weight,
         )  # fmt: skip
-        found += [
+        failures += [
             _largest(own[:, vehicle] + force, planned.time, vehicle, failed)
             for force, vehicle in zip(forces, (failed - 1, failed + 1), strict=True)
         ]
-    return max(found, key=lambda load: load.force)
+    return max(failures, key=lambda load: load.force)
 
 
 def _largest(force: Floats, time: Floats, vehicle: int, failed: int) -> FailureLoad:
@@ -127,11 +127,11 @@ def _largest(force: Floats, time: Floats, vehicle: int, failed: int) -> FailureL
 
 
 def _two_strings(
-    one: Floats, other: Floats, first: float, last: float, weight: float
+    start: Floats, end: Floats, first: float, last: float, weight: float
 ) -> tuple[Floats, Floats]:
     """Forces (k,) on two supports (k, 3) of a weight that hangs on two strings."""
-    across = np.maximum(np.hypot(other[:, 0] - one[:, 0], other[:, 1] - one[:, 1]), 1e-6)
-    rise = other[:, 2] - one[:, 2]
+    across = np.maximum(np.hypot(end[:, 0] - start[:, 0], end[:, 1] - start[:, 1]), 1e-6)
+    rise = end[:, 2] - start[:, 2]
     chord = np.hypot(across, rise)
     along = (first**2 - last**2 + chord**2) / (2.0 * chord)
     depth = np.sqrt(np.maximum(first**2 - along**2, 0.0))
@@ -139,13 +139,13 @@ def _two_strings(
     z = along * rise / chord - depth * across / chord
     # Balance: horizontal components cancel, vertical ones add up to the weight. A weight beyond one
     # of the supports is carried by that support alone.
-    to_one = np.maximum(-z, 1e-6) / np.maximum(x, 1e-6)
-    to_other = np.maximum(rise - z, 1e-6) / np.maximum(across - x, 1e-6)
-    horizontal = weight / (to_one + to_other)
+    to_start = np.maximum(-z, 1e-6) / np.maximum(x, 1e-6)
+    to_end = np.maximum(rise - z, 1e-6) / np.maximum(across - x, 1e-6)
+    horizontal = weight / (to_start + to_end)
     between = (x > 0.0) & (x < across)
-    on_one = np.where(between, np.hypot(horizontal, horizontal * to_one), weight * (x <= 0.0))
-    on_other = np.where(between, np.hypot(horizontal, horizontal * to_other), weight * (x > 0.0))
-    return on_one, on_other
+    on_start = np.where(between, np.hypot(horizontal, horizontal * to_start), weight * (x <= 0.0))
+    on_end = np.where(between, np.hypot(horizontal, horizontal * to_end), weight * (x > 0.0))
+    return on_start, on_end
 
 
 def stuck_gripper_load(plan: Plan) -> FailureLoad | None:

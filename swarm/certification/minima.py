@@ -72,8 +72,8 @@ class Minima:
         Pairs without a shown margin come first.
         """
         margin = np.where(self.low < 0.0, self.low, self.high)
-        found: Ints = np.argsort(margin, kind="stable")[:count]
-        return found
+        pairs: Ints = np.argsort(margin, kind="stable")[:count]
+        return pairs
 
 
 def roots(pairs: int, spans: Intervals, width: float, others: Intervals = ()) -> Boxes:
@@ -127,18 +127,18 @@ def smallest(
     time[boxes.group] = boxes.middle[:, 0]
     count, most = 0, _most(boxes, initial)
 
-    def undecided(boxes: Boxes, found: Enclosure) -> Flags:
+    def undecided(boxes: Boxes, bounds: Enclosure) -> Flags:
         nonlocal count
         count += len(boxes)
-        pair, best = _best_of_pairs(boxes, found)
-        better = found.high[best] < high[pair]
+        pair, best = _best_of_pairs(boxes, bounds)
+        better = bounds.high[best] < high[pair]
         pair, best = pair[better], best[better]
-        high[pair], time[pair] = found.high[best], boxes.middle[best, 0]
-        place[pair] = found.place[best]
+        high[pair], time[pair] = bounds.high[best], boxes.middle[best, 0]
+        place[pair] = bounds.place[best]
         limit = high if below < np.inf else np.minimum(high, _nth_smallest(high, MOMENTS))
         limit = np.minimum(_with_tolerance(limit, high, tolerance), below)
-        done = (found.low >= limit[boxes.group]) | _exhausted(boxes, found) | (count >= most)
-        np.minimum.at(low, boxes.group[done], found.low[done])
+        done = (bounds.low >= limit[boxes.group]) | _exhausted(boxes, bounds) | (count >= most)
+        np.minimum.at(low, boxes.group[done], bounds.low[done])
         return ~done
 
     search(evaluate, replace(boxes, enough=below), undecided)
@@ -169,14 +169,14 @@ def failing(
     counted = np.zeros(int(boxes.group.max(initial=-1)) + 1, dtype=bool)
     failed: tuple[int, float] | None = None
 
-    def undecided(boxes: Boxes, found: Enclosure) -> Flags:
+    def undecided(boxes: Boxes, bounds: Enclosure) -> Flags:
         nonlocal count, failed
         count += len(boxes)
-        counted[boxes.group[found.low < np.inf]] = True
-        negative = found.low < 0.0
-        lost = _lost(boxes, found, tolerance) | (negative & (count >= most))
+        counted[boxes.group[bounds.low < np.inf]] = True
+        negative = bounds.low < 0.0
+        lost = _lost(boxes, bounds, tolerance) | (negative & (count >= most))
         if lost.any():
-            worst = int(np.argmin(np.where(lost, found.high, np.inf)))
+            worst = int(np.argmin(np.where(lost, bounds.high, np.inf)))
             failed = int(boxes.group[worst]), float(boxes.middle[worst, 0])
             negative[:] = False
         return negative
@@ -211,17 +211,17 @@ def most_steps(
     def relevant(boxes: Boxes) -> Flags:
         return np.full(len(boxes), steps > 0 and (guess is None or count < guess))
 
-    def undecided(boxes: Boxes, found: Enclosure) -> Flags:
+    def undecided(boxes: Boxes, bounds: Enclosure) -> Flags:
         nonlocal count, enough, lower, steps
         count += len(boxes)
-        counted[boxes.group[found.low < np.inf]] = True
-        lost = _lost(boxes, found, tolerance)
+        counted[boxes.group[bounds.low < np.inf]] = True
+        lost = _lost(boxes, bounds, tolerance)
         if lost.any():
             steps = _fewer(at, steps, boxes.taken(lost), tolerance)
         elif count >= enough:
             # Margins that are kept may take too many boxes to show.
             enough, steps, lower = count + most // 8, max(steps - lower, 0), 4 * lower
-        negative: Flags = found.low < 0.0
+        negative: Flags = bounds.low < 0.0
         return negative
 
     def evaluate(boxes: Boxes) -> Enclosure:
@@ -251,10 +251,10 @@ def _fewer(at: Callable[[int], Evaluator], steps: int, boxes: Boxes, tolerance: 
     return first
 
 
-def _lost(boxes: Boxes, found: Enclosure, tolerance: float) -> Flags:
+def _lost(boxes: Boxes, bounds: Enclosure, tolerance: float) -> Flags:
     """Boxes with a negative margin, or with a doubtful one that is not looked at more closely."""
-    narrow = reduce(np.add, found.doubts.T) < 0.5 * tolerance
-    lost: Flags = (found.high < 0.0) | ((found.low < 0.0) & (_exhausted(boxes, found) | narrow))
+    narrow = reduce(np.add, bounds.doubts.T) < 0.5 * tolerance
+    lost: Flags = (bounds.high < 0.0) | ((bounds.low < 0.0) & (_exhausted(boxes, bounds) | narrow))
     return lost
 
 
@@ -263,10 +263,10 @@ def _most(boxes: Boxes, initial: int) -> int:
     return MOST_BOXES + MOST_PER_ROOT * max(len(boxes), initial)
 
 
-def _exhausted(boxes: Boxes, found: Enclosure) -> Flags:
+def _exhausted(boxes: Boxes, bounds: Enclosure) -> Flags:
     """Boxes that are not halved: too small, without a margin, or not a number."""
     small = reduce(np.minimum, boxes.half.T) < _SMALLEST_HALF
-    done: Flags = small | (found.low == np.inf) | (found.high == -np.inf)
+    done: Flags = small | (bounds.low == np.inf) | (bounds.high == -np.inf)
     return done
 
 
@@ -278,9 +278,9 @@ def _with_tolerance(limit: Floats, high: Floats, tolerance: float) -> Floats:
     return np.where(doubtful, 0.0, lower)
 
 
-def _best_of_pairs(boxes: Boxes, found: Enclosure) -> tuple[Ints, Ints]:
+def _best_of_pairs(boxes: Boxes, bounds: Enclosure) -> tuple[Ints, Ints]:
     """The pairs of the boxes, and the index of each pair's box with the smallest margin."""
-    order = np.lexsort((found.high, boxes.group))
+    order = np.lexsort((bounds.high, boxes.group))
     pair, index = np.unique(boxes.group[order], return_index=True)
     return pair, order[index]
 

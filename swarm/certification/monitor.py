@@ -110,17 +110,17 @@ class Monitor:
         vehicle with it than its catenary at the moments (k, n, 3).
         """
         team, strands = self._memory
-        found = np.full((2, len(moments), PLACES), SLOWING_MARGIN)
+        margins = np.full((2, len(moments), PLACES), SLOWING_MARGIN)
         swinging = team, strands._replace(stray=contiguous(strays))
-        _write_strand_margins(contiguous(moments), self._required, swinging, found)
-        return max(SLOWEST, _clock_rate(float(found[0].min())))
+        _write_strand_margins(contiguous(moments), self._required, swinging, margins)
+        return max(SLOWEST, _clock_rate(float(margins[0].min())))
 
     def _margins(self, moments: Floats, cable: CableState, enough: float) -> tuple[Floats, Floats]:
         """Return margins (k, PLACES) from below, and less exactly; only those below ``enough``."""
-        found = np.empty((2, len(moments), PLACES))
+        margins = np.empty((2, len(moments), PLACES))
         aloft = cable == "aloft"
-        _write_margins(contiguous(moments), aloft, enough, self._required, self._memory, found)
-        return found[0], found[1]
+        _write_margins(contiguous(moments), aloft, enough, self._required, self._memory, margins)
+        return margins[0], margins[1]
 
 
 def _clock_rate(margin: float) -> float:
@@ -130,28 +130,28 @@ def _clock_rate(margin: float) -> float:
 @compiled
 def _write_margins(
     moments: Floats3, aloft: bool, enough: float, required: Required,
-    memory: tuple[Team, Strands], found: Floats3,
+    memory: tuple[Team, Strands], margins: Floats3,
 ) -> None:  # fmt: skip
     """Write margins (2, k, PLACES) at the moments (k, n, 3): lower bounds, and about."""
     team, strands = memory
     asked = Query(-1, (0.0, 0.0, 0.0), -np.inf, enough)
     for k in range(len(moments)):
         _place(moments[k], team)
-        vehicle_margins(asked, team, required, found[0, k], found[1, k])
+        vehicle_margins(asked, team, required, margins[0, k], margins[1, k])
         if aloft:
-            cable_margins(asked, team, required, strands, found[0, k], found[1, k])
+            cable_margins(asked, team, required, strands, margins[0, k], margins[1, k])
 
 
 @compiled
 def _write_strand_margins(
-    moments: Floats3, required: Required, memory: tuple[Team, Strands], found: Floats3
+    moments: Floats3, required: Required, memory: tuple[Team, Strands], margins: Floats3
 ) -> None:
     """Lower margins (2, k, PLACES) to those of strands that share no vehicle."""
     team, strands = memory
     for k in range(len(moments)):
         _place(moments[k], team)
         asked = Query(-1, (0.0, 0.0, 0.0), -np.inf, SLOWING_MARGIN)
-        strand_margins(asked, team, required, strands, found[0, k], found[1, k])
+        strand_margins(asked, team, required, strands, margins[0, k], margins[1, k])
 
 
 @inner

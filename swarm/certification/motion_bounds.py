@@ -130,9 +130,9 @@ class BoundedMotion:
         By the acceleration, and by the jumps between pieces: of position, and of velocity for as
         long as the half width.
         """
-        found = np.empty((len(time), self.motion.coefficients.shape[2]))
-        _deviations(self.tables, contiguous(time), contiguous(half), found)
-        return found
+        deviations = np.empty((len(time), self.motion.coefficients.shape[2]))
+        _deviations(self.tables, contiguous(time), contiguous(half), deviations)
+        return deviations
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,22 +244,22 @@ def ends_at(motion: MotionTables, instant: Instant, segment: int) -> tuple[Grip,
 
 @compiled
 def _bounds_between(
-    tables: Floats3, joints: Floats1, start: Floats1, end: Floats1, found: Floats2
+    tables: Floats3, joints: Floats1, start: Floats1, end: Floats1, bounds: Floats2
 ) -> None:
     """Write the bounds (m, n) of all grip points on intervals (m,)."""
     for m in range(len(start)):
         pieces = pieces_between(joints, start[m], end[m])
-        for i in range(found.shape[1]):
-            found[m, i] = largest_between(tables, pieces, i)
+        for i in range(bounds.shape[1]):
+            bounds[m, i] = largest_between(tables, pieces, i)
 
 
 @compiled
-def _deviations(motion: MotionTables, time: Floats1, half: Floats1, found: Floats2) -> None:
+def _deviations(motion: MotionTables, time: Floats1, half: Floats1, deviations: Floats2) -> None:
     """Write the deviations (m, n) of all grip points around times (m,)."""
     for m in range(len(time)):
         pieces = pieces_between(motion.joints, time[m] - half[m], time[m] + half[m])
-        for i in range(found.shape[1]):
-            found[m, i] = _deviation(motion, pieces, half[m], i)
+        for i in range(deviations.shape[1]):
+            deviations[m, i] = _deviation(motion, pieces, half[m], i)
 
 
 @inner

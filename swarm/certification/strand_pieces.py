@@ -100,8 +100,8 @@ class TubeRadii:
 
     def strands(self, time: float) -> Floats:
         """Return the radii (n − 1,) of whole strands at a mission time."""
-        found: Floats = self.whole[self._bins(np.array(time))]
-        return found
+        radii: Floats = self.whole[self._bins(np.array(time))]
+        return radii
 
     @property
     def tables(self) -> "TubeTables":
@@ -110,8 +110,8 @@ class TubeRadii:
 
     def _bins(self, time: Floats) -> Ints:
         number = np.floor((time - self.start) / BIN).astype(np.intp)
-        found: Ints = np.minimum(np.maximum(number, 0), len(self.pieces) - 1)
-        return found
+        bins: Ints = np.minimum(np.maximum(number, 0), len(self.pieces) - 1)
+        return bins
 
 
 class TubeTables(NamedTuple):
@@ -173,13 +173,13 @@ def _bin(tube: TubeTables, time: float) -> int:
 
 def _range_maxima(values: Floats) -> Floats:
     """Return the maxima over 1, 2, 4, … entries from each one on, padded with the last."""
-    found, size = [values], 1
+    maxima, size = [values], 1
     while 2 * size <= len(values):
-        before = found[-1]
+        before = maxima[-1]
         shifted = np.concatenate([before[size:], np.repeat(before[-1:], size, axis=0)])
-        found.append(np.maximum(before, shifted))
+        maxima.append(np.maximum(before, shifted))
         size *= 2
-    return np.stack(found)
+    return np.stack(maxima)
 
 
 class CableTables(NamedTuple):
@@ -688,33 +688,33 @@ def apart_moving(
     lean of a point are nearly linear between the ends of its piece, so their sum is least at ends.
     """
     (moves, other_moves), whole = pieces, gravity.east + gravity.north
-    (drifts, other_drifts), (one, other) = (
+    (drifts, other_drifts), (lean, other_lean) = (
         (moves.drifting, other_moves.drifting), (moves.leaning, other_moves.leaning),
     )  # fmt: skip
     chords = min(ends[0], ends[1]) - max(other_ends[0], other_ends[1])
-    by_ends, most = moves.piece + other_moves.piece, one.most + other.most
-    beyond = one.beyond + other.beyond
+    by_ends, most = moves.piece + other_moves.piece, lean.most + other_lean.most
+    beyond = lean.beyond + other_lean.beyond
     if not beyond < np.inf or whole == 0.0:
         share = gravity.east / whole if whole > 0.0 else 0.0
         return Apart(chords - most, by_ends, -1.0, most * share, most * (1.0 - share), 0.0)
     leaning = drifting = both = np.inf
     for k in range(2):
-        moment = one.at_begin if k == 0 else one.at_end
+        moment = lean.at_begin if k == 0 else lean.at_end
         here = drifts.at_begin if k == 0 else drifts.at_end
         for m in range(2):
-            opposed = other.at_begin if m == 0 else other.at_end
+            opposed = other_lean.at_begin if m == 0 else other_lean.at_end
             along = abs(here - (other_drifts.at_begin if m == 0 else other_drifts.at_end))
             by_east, by_north = _leaned(gravity, difference(moment, opposed))
             leaning = min(leaning, ends[k] - other_ends[m] - by_east - by_north)
             drifting = min(drifting, ends[k] - other_ends[m] - along)
             both = min(both, ends[k] - other_ends[m] - by_east - by_north - along)
-    bowed, drift = beyond + one.bowed + other.bowed, -1.0
+    bowed, drift = beyond + lean.bowed + other_lean.bowed, -1.0
     leans, distance = leaning - bowed > chords - most, max(chords - most, leaning - bowed)
     beside, drifted = drifts.beside + other_drifts.beside, max(drifting - most, both - bowed)
     if drifted - beside > distance - by_ends:
         leans, distance, by_ends = both - bowed > drifting - most, drifted, beside
         drift = abs(drifts.at_point - other_drifts.at_point)
-    east, north = _leaned(gravity, difference(one.moment, other.moment))
+    east, north = _leaned(gravity, difference(lean.moment, other_lean.moment))
     by_tilt = east + north + beyond
     share = 1.0 if leans or by_tilt <= most else most / by_tilt
     east = share * (east + beyond * gravity.east / whole)
@@ -891,8 +891,8 @@ def is_bounded(gravity: Gravity) -> bool:
 
 
 @inner
-def write_unbounded(gravity: Gravity, b: int, found: EnclosureArrays) -> None:
+def write_unbounded(gravity: Gravity, b: int, bounds: EnclosureArrays) -> None:
     """Write that a box has to be halved, unless there is no gravity in it at all."""
     if gravity.angle >= 0.0:
-        found.low[b] = -np.inf
-        found.doubts[b, 1] = found.doubts[b, 2] = np.inf
+        bounds.low[b] = -np.inf
+        bounds.doubts[b, 1] = bounds.doubts[b, 2] = np.inf

@@ -68,10 +68,10 @@ def strands_apart(cable: HeldCable, pairs: Ints, parts: Floats, required: float)
     compared = _Pairs(contiguous(pairs), contiguous(parts))
 
     def evaluate(boxes: Boxes) -> Enclosure:
-        found = Enclosure.not_found(boxes)
+        bounds = Enclosure.not_found(boxes)
         tables, chords = cable.tables, np.empty((2, 2, 3))
-        _write_margins(tables, compared, required, boxes.arrays(), chords, found.arrays())
-        return found
+        _write_margins(tables, compared, required, boxes.arrays(), chords, bounds.arrays())
+        return bounds
 
     return evaluate
 
@@ -79,7 +79,7 @@ def strands_apart(cable: HeldCable, pairs: Ints, parts: Floats, required: float)
 @compiled
 def _write_margins(
     cable: CableTables, pairs: _Pairs, required: float, boxes: BoxArrays, chords: Floats3,
-    found: EnclosureArrays,
+    bounds: EnclosureArrays,
 ) -> None:  # fmt: skip
     """Write the margins of pairs in the boxes whose pieces count.
 
@@ -100,12 +100,12 @@ def _write_margins(
                 pair = pairs.segments[boxes.group[b]]
                 held, other_held = _held_pair(cable, pair, instant, gravity)
         if not is_bounded(gravity):
-            write_unbounded(gravity, b, found)
+            write_unbounded(gravity, b, bounds)
             continue
-        one = held_piece(cable, held, instant, part)
+        piece = held_piece(cable, held, instant, part)
         other = held_piece(cable, other_held, instant, other_part)
         limits = required, boxes.enough
-        _write_margin(cable, (one, other), limits, gravity, chords, b, found)
+        _write_margin(cable, (piece, other), limits, gravity, chords, b, bounds)
 
 
 @inner
@@ -164,63 +164,63 @@ def _write_margin(
     gravity: Gravity,
     chords: Floats,
     b: int,
-    found: EnclosureArrays,
+    bounds: EnclosureArrays,
 ) -> None:
     """Write the margin of two pieces; ``chords`` (2, 2, 3) is memory.
 
     ``limits`` are the required distance, and the margin that is enough.
     """
-    (one, other), (required, enough) = pieces, limits
+    (piece, other), (required, enough) = pieces, limits
     for axis in range(3):
-        chords[0, 0, axis], chords[0, 1, axis] = one.near[axis], one.far[axis]
+        chords[0, 0, axis], chords[0, 1, axis] = piece.near[axis], piece.far[axis]
         chords[1, 0, axis], chords[1, 1, axis] = other.near[axis], other.far[axis]
     square, here, there = segment_distance(chords[0], 0, chords[1], 0)
-    at_one = moved(one.near, here, difference(one.far, one.near))
+    at_piece = moved(piece.near, here, difference(piece.far, piece.near))
     at_other = moved(other.near, there, difference(other.far, other.near))
     # Any unit vector gives a true bound: rounding in the closest points does no harm.
-    normal = unit(difference(at_one, at_other))
-    ends = dot(one.near, normal), dot(one.far, normal)
+    normal = unit(difference(at_piece, at_other))
+    ends = dot(piece.near, normal), dot(piece.far, normal)
     other_ends = dot(other.near, normal), dot(other.far, normal)
-    swing, swing_other, bows = one.swing, other.swing, one.bow + other.bow
+    swing, swing_other, bows = piece.swing, other.swing, piece.bow + other.bow
     chords_apart = min(ends[0], ends[1]) - max(other_ends[0], other_ends[1]) - bows
-    largest = largest_movement(cable, one, normal, gravity)
+    largest = largest_movement(cable, piece, normal, gravity)
     largest_other = largest_movement(cable, other, normal, gravity)
     most = largest + largest_other + swing.most + swing_other.most
-    most += largest_lean(one, gravity) + largest_lean(other, gravity)
-    found.low[b] = chords_apart - most - required
-    if found.low[b] >= enough:
+    most += largest_lean(piece, gravity) + largest_lean(other, gravity)
+    bounds.low[b] = chords_apart - most - required
+    if bounds.low[b] >= enough:
         return
-    moves = piece_movement(cable, one, normal, here, gravity, largest)
+    moves = piece_movement(cable, piece, normal, here, gravity, largest)
     moves_other = piece_movement(cable, other, normal, there, gravity, largest_other)
     apart = apart_moving(gravity, (moves, moves_other), ends, other_ends)
     most = apart.by_ends + swing.most + swing_other.most
-    found.low[b] = apart.distance - bows - most - required
-    if found.low[b] >= enough:
+    bounds.low[b] = apart.distance - bows - most - required
+    if bounds.low[b] >= enough:
         return
     drifts, size, other_size = apart.drift >= 0.0, moves.piece, moves_other.piece
     if drifts:
         size, other_size = moves.drifting.beside, moves_other.drifting.beside
-    point, calm, by_tracking = point_movement(cable, one, gravity, moves, drifts)
+    point, calm, by_tracking = point_movement(cable, piece, gravity, moves, drifts)
     other_point, other_calm, other_by_tracking = point_movement(
         cable, other, gravity, moves_other, drifts
     )
     least = by_tracking + other_by_tracking + swing.least + swing_other.least
-    found.high[b] = np.sqrt(square) + bows - least - required
+    bounds.high[b] = np.sqrt(square) + bows - least - required
     in_time = max(apart.drift, 0.0) + calm - by_tracking + other_calm - other_by_tracking
-    found.doubts[b, 0] = in_time + (swing.most - swing.now) + (swing_other.most - swing_other.now)
-    k = found.doubts.shape[1] - 2
+    bounds.doubts[b, 0] = in_time + (swing.most - swing.now) + (swing_other.most - swing_other.now)
+    k = bounds.doubts.shape[1] - 2
     if k > 1:
         rest = point - calm + other_point - other_calm
-        found.doubts[b, 1], found.doubts[b, 2] = apart.east + 0.5 * rest, apart.north + 0.5 * rest
-    found.doubts[b, k] = 2.0 * one.bow + size - point + (swing.now - swing.least)
-    found.doubts[b, k + 1] = (
+        bounds.doubts[b, 1], bounds.doubts[b, 2] = apart.east + 0.5 * rest, apart.north + 0.5 * rest
+    bounds.doubts[b, k] = 2.0 * piece.bow + size - point + (swing.now - swing.least)
+    bounds.doubts[b, k + 1] = (
         2.0 * other.bow + other_size - other_point
         + (swing_other.now - swing_other.least)
     )  # fmt: skip
-    length, other_length = one.end - one.begin, other.end - other.begin
-    length *= one.strand.catenary.length
+    length, other_length = piece.end - piece.begin, other.end - other.begin
+    length *= piece.strand.catenary.length
     other_length *= other.strand.catenary.length
-    found.doubts[b, k] += apart.size * length / (length + other_length)
-    found.doubts[b, k + 1] += apart.size * other_length / (length + other_length)
+    bounds.doubts[b, k] += apart.size * length / (length + other_length)
+    bounds.doubts[b, k + 1] += apart.size * other_length / (length + other_length)
     for axis in range(3):
-        found.place[b, axis] = 0.5 * (at_one[axis] + at_other[axis])
+        bounds.place[b, axis] = 0.5 * (at_piece[axis] + at_other[axis])

@@ -93,10 +93,10 @@ class Box(NamedTuple):
 
 
 @inner
-def write_state(box: Box, motion: LossMotion, team: Team, doubts: Floats) -> bool:
+def write_state(box: Box, motion: LossMotion, team: Team, uncertainty: Floats) -> bool:
     """Write the team's state, and whether a vehicle may be outside the tracking radius.
 
-    ``doubts`` (4,) becomes the uncertainty that the widths of its coordinates cause.
+    ``uncertainty`` (4,) becomes the uncertainty that the widths of its coordinates cause.
     """
     position, slopes, spread = team.position, team.slopes, team.spread
     together = 1 if box.case == 0 else 2  # the coordinate in which the planned positions advance
@@ -123,15 +123,15 @@ def write_state(box: Box, motion: LossMotion, team: Team, doubts: Floats) -> boo
         if box.case in (0, i + 1):
             largest = max(largest, _coast(box, i, motion, team))
     if largest <= motion.tracking:
-        doubts[:] = 0.0
+        uncertainty[:] = 0.0
         return False
-    doubts[3] = box.descent_half
+    uncertainty[3] = box.descent_half
     halves = box.half, box.coast_half, box.advance_half
     for coordinate in range(3):
-        doubts[coordinate] = _apart(slopes[coordinate], team.scratch[0]) * halves[coordinate]
+        uncertainty[coordinate] = _apart(slopes[coordinate], team.scratch[0]) * halves[coordinate]
     # Beyond the end of the motion its slopes there, 0, do not tell how wide the box is.
-    doubts[0] += widest * box.half / width
-    doubts[together] += widest * after_half / width
+    uncertainty[0] += widest * box.half / width
+    uncertainty[together] += widest * after_half / width
     return True
 
 
@@ -249,8 +249,8 @@ class Overrun:
         """
         share = np.linspace(0.0, 1.0, _SAMPLES + 1)
         times = start[:, None] + share * (end - start)[:, None]
-        found = self.advance(times[:, :, None], _RATES).max(axis=1)
-        largest: Floats = found + ((end - start) / _SAMPLES)[:, None]
+        advances = self.advance(times[:, :, None], _RATES).max(axis=1)
+        largest: Floats = advances + ((end - start) / _SAMPLES)[:, None]
         return largest
 
     @property
@@ -295,8 +295,8 @@ class Overrun:
 def at_rate(advances: Floats, rate: Floats) -> Floats:
     """Return the bounds (m,) of advances (m, r) at the next of _RATES: advances grow with it."""
     column = np.minimum(np.ceil(rate * (len(_RATES) - 1) - 1e-9), len(_RATES) - 1)
-    found: Floats = advances[np.arange(len(rate)), column.astype(np.intp)]
-    return found
+    bounds: Floats = advances[np.arange(len(rate)), column.astype(np.intp)]
+    return bounds
 
 
 class _Cases(NamedTuple):
@@ -362,10 +362,10 @@ class StreamLossBound:
             where &= shown[interval]
             return where
 
-        def undecided(boxes: Boxes, found: Enclosure) -> Flags:
-            failed = self._reached(boxes, rate, advances) & (found.high < 0.0)
+        def undecided(boxes: Boxes, bounds: Enclosure) -> Flags:
+            failed = self._reached(boxes, rate, advances) & (bounds.high < 0.0)
             shown[boxes.group[failed] % count] = False
-            return found.low < 0.0
+            return bounds.low < 0.0
 
         search(
             lambda boxes: self._margins(boxes, rate),
@@ -419,12 +419,12 @@ class StreamLossBound:
     def _margins(self, boxes: Boxes, rate: Floats) -> Enclosure:
         case, interval = np.divmod(boxes.group, len(rate))
         count = len(boxes)
-        found = _Margins(np.empty(count), np.empty(count), np.empty((count, 4)))
+        margins = _Margins(np.empty(count), np.empty(count), np.empty((count, 4)))
         _write_margins(
             _Cases(case, rate[interval]), (boxes.middle, boxes.half), self._motion, self._required,
-            self._workspace, found,
+            self._workspace, margins,
         )  # fmt: skip
-        return Enclosure(found.low, found.here, found.doubts, np.empty((count, 0)))
+        return Enclosure(margins.low, margins.here, margins.doubts, np.empty((count, 0)))
 
 
 @compiled
@@ -434,7 +434,7 @@ def _write_margins(
     motion: LossMotion,
     required: Required,
     workspace: _Workspace,
-    found: _Margins,
+    margins: _Margins,
 ) -> None:
     """Write the margins of boxes with middles and half widths (m, 4)."""
     middle, half = boxes
@@ -444,13 +444,13 @@ def _write_margins(
             middle[m, 2], half[m, 2], middle[m, 3], half[m, 3],
         )  # fmt: skip
         low, here = workspace.margins
-        found.low[m] = found.here[m] = 0.0
-        if write_state(box, motion, workspace.team, found.doubts[m]):
+        margins.low[m] = margins.here[m] = 0.0
+        if write_state(box, motion, workspace.team, margins.doubts[m]):
             asked = Query(box.case - 1, (box.half, box.coast_half, box.advance_half), 0.0, 0.0)
             vehicle_margins(asked, workspace.team, required, low, here)
             if smallest(low) >= 0.0:
                 cable_margins(asked, workspace.team, required, workspace.strands, low, here)
-            found.low[m], found.here[m] = smallest(low), smallest(here)
+            margins.low[m], margins.here[m] = smallest(low), smallest(here)
 
 
 class Losses(NamedTuple):
@@ -495,17 +495,17 @@ def write_margins(
     the margin that counts as found, below which a moment is not computed further, and the one from
     which on none is computed.
     """
-    found, enough = limits
+    target, enough = limits
     for k in range(len(margins)):
         margins[k], vehicles[k] = enough, 0
         # the last moment first: vehicles are farthest from the plan, so others are cut short
         for after in range(len(losses.moved) - 1, -1, -1):
             for who in range(-2 if losses.tracking < 0.0 else -1, losses.position.shape[1]):
-                if margins[k] < found:
+                if margins[k] < target:
                     break
                 if _place((k, after, who), losses, memory.team) > losses.tracking:
                     margin = _smallest(
-                        Query(max(who, -1), (0.0, 0.0, 0.0), found, margins[k]), required, memory
+                        Query(max(who, -1), (0.0, 0.0, 0.0), target, margins[k]), required, memory
                     )
                     if margin < margins[k]:
                         margins[k], vehicles[k] = margin, max(who + 1, 0)
@@ -692,7 +692,7 @@ class StreamLossCertificate:
                 "vehicles stay within the tracking radius after a stream loss in the fold, of one "
                 "vehicle or of all"
             )
-        found = [Finding("info", "stream loss", message, worst.time)]
+        findings = [Finding("info", "stream loss", message, worst.time)]
         for rates, rewind in ((self.rates, ""), (self.rewind_rates, " of a rewind")):
             limited = rates < 1.0
             if limited.any():
@@ -701,8 +701,8 @@ class StreamLossCertificate:
                     f"100% during {limited.mean():.0%} of the fold"
                 )
                 slowest = float(self.times[int(np.argmin(rates))])
-                found.append(Finding("info", "stream loss", message, slowest))
-        return found
+                findings.append(Finding("info", "stream loss", message, slowest))
+        return findings
 
 
 def certify_stream_loss(
@@ -738,7 +738,7 @@ def certify_stream_loss(
     )  # fmt: skip
     worst = replace(back.worst, time=turned - back.worst.time)
     return StreamLossCertificate(
-        times, ahead.rates, back.rates[::-1], min(ahead.worst, worst, key=lambda one: one.margin),
+        times, ahead.rates, back.rates[::-1], min(ahead.worst, worst, key=lambda loss: loss.margin),
         times[ahead.infeasible | back.infeasible[::-1]], model, name,
     )  # fmt: skip
 

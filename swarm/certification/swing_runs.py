@@ -230,13 +230,13 @@ def _farthest_link(hanging: Catenaries) -> Floats:
     lowest = -hanging.slope * hanging.parameter
     bent = (lowest > 0.0) & (lowest < hanging.length)
     apart = (hanging.length / _FEWER) ** 2 / (8.0 * hanging.parameter)
-    found: Floats = np.where(bent, apart, 0.0).max(axis=0)
-    return found
+    distances: Floats = np.where(bent, apart, 0.0).max(axis=0)
+    return distances
 
 
 def _chords(places: Floats) -> Floats:
-    found: Floats = np.linalg.norm(np.diff(places, axis=1), axis=2)
-    return found
+    lengths: Floats = np.linalg.norm(np.diff(places, axis=1), axis=2)
+    return lengths
 
 
 def swings(plan: Plan, span: tuple[float, float]) -> Iterator[Swung]:
@@ -348,8 +348,8 @@ def swings_after(
 def _last(wanted: Flags) -> Ints:
     """Return the numbers (c, s) of moments up to the last of k that are wanted, (c, k, s)."""
     count = wanted.shape[1]
-    found: Ints = np.where(wanted.any(axis=1), count - wanted[:, ::-1].argmax(axis=1), 0)
-    return found
+    numbers: Ints = np.where(wanted.any(axis=1), count - wanted[:, ::-1].argmax(axis=1), 0)
+    return numbers
 
 
 def _with_step(times: Floats, step: float) -> Floats:
@@ -358,15 +358,15 @@ def _with_step(times: Floats, step: float) -> Floats:
         return times
     given = COURSE_STEP * np.arange(times.shape[1])
     count = round(given[-1] / step)
-    found: Floats = scipy.interpolate.CubicSpline(given, times, axis=1)(step * np.arange(count + 1))
-    return found
+    clock: Floats = scipy.interpolate.CubicSpline(given, times, axis=1)(step * np.arange(count + 1))
+    return clock
 
 
 def _times(span: tuple[float, float], step: float) -> Floats:
     """Return times ``step`` apart, the last of which, the end of the span, is compared too."""
     count = round(COMPARED / step) * int(np.ceil((span[1] - span[0]) / COMPARED))
-    found: Floats = np.minimum(span[0] + step * np.arange(count + 1), span[1])
-    return found
+    times: Floats = np.minimum(span[0] + step * np.arange(count + 1), span[1])
+    return times
 
 
 def _strays(
@@ -378,13 +378,13 @@ def _strays(
     interpolated where there is no joint. Those that are not ``wanted`` (…, n − 1) are 0.
     """
     count = ends.shape[-2] - 1
-    found = (np.empty if wanted.all() else np.zeros)((*ends.shape[:-2], count, links + 1, 3))
+    strays = (np.empty if wanted.all() else np.zeros)((*ends.shape[:-2], count, links + 1, 3))
     for some, swung in zip(strands, joints, strict=True):
         held = Held(some.segments, contiguous(some.lengths), some.segments)
         places = contiguous(ends.reshape(-1, *ends.shape[-2:]))
         which = np.flatnonzero(wanted[..., some.segments])
-        subtract_catenaries(places, held, _moments(swung), which, _moments(found))
-    return found
+        subtract_catenaries(places, held, _moments(swung), which, _moments(strays))
+    return strays
 
 
 def _moments(points: Floats) -> Floats:

@@ -96,7 +96,7 @@ def close_pairs(plan: Plan, times: Floats, exempt: float) -> ClosePairs:
     strands = solve_catenaries(place[:, :-1], place[:, 1:], lengths)
     points = strands.points(np.linspace(0.0, 1.0, PIECES + 1))
     none = np.empty((0, 5), dtype=np.intp), np.empty((0, 3)), np.empty(0)
-    found: list[tuple[Floats | Ints, ...]] = [none]
+    batches: list[tuple[Floats | Ints, ...]] = [none]
     box = cache(partial(_box, points))
     for (i, j), parts in zip(*all_pairs(lengths, exempt), strict=True):
         first = np.ceil(parts[:, 0] * PIECES).astype(np.intp)
@@ -111,15 +111,15 @@ def close_pairs(plan: Plan, times: Floats, exempt: float) -> ClosePairs:
         size = norms(apart)
         kept = (size < WITHIN + plan.mission.cable.diameter) & (size > 1e-9)
         rows = np.column_stack([near, np.full(len(near), i), np.full(len(near), j), here, there])
-        found.append((rows[kept], apart[kept] / size[kept, None], size[kept]))
-    rows, normal, size = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        batches.append((rows[kept], apart[kept] / size[kept, None], size[kept]))
+    rows, normal, size = (np.concatenate(parts) for parts in zip(*batches, strict=True))
     order = np.argsort(rows[:, 0], kind="stable")
     rows, normal, size = rows[order], normal[order], size[order]
     pairs, fractions = rows[:, 1:3], rows[:, 3:] / PIECES
     available = size - plan.mission.cable.diameter
     tracking = _tracking(plan, place[rows[:, 0]], pairs, fractions, normal)
-    left = available - tracking - plan.mission.clearance.cable
-    return ClosePairs(rows[:, 0], times[rows[:, 0]], pairs, fractions, normal, available, left)
+    margins = available - tracking - plan.mission.clearance.cable
+    return ClosePairs(rows[:, 0], times[rows[:, 0]], pairs, fractions, normal, available, margins)
 
 
 def _tracking(plan: Plan, place: Floats, pairs: Ints, fractions: Floats, normal: Floats) -> Floats:
@@ -131,12 +131,12 @@ def _tracking(plan: Plan, place: Floats, pairs: Ints, fractions: Floats, normal:
     for side, alone in enumerate((NEAR_END, FAR_END)):
         segment, fraction = pairs[:, side], fractions[:, side]
         ends, lengths = (place[rows, segment], place[rows, segment + 1]), plan.layout.lengths
-        found = linear_response(
+        response = linear_response(
             solve_catenaries(*ends, lengths[segment]), fraction,
             np.where(neighbours, alone, BOTH_ENDS), normal, (fraction, fraction),
             np.zeros(len(rows)),
         )  # fmt: skip
-        moved = np.where(found.known, found.at_point, 1.0)
+        moved = np.where(response.known, response.at_point, 1.0)
         total += np.where(neighbours, 2.0, 1.0) * moved
     return plan.mission.vehicles.tracking * total
 
@@ -202,11 +202,11 @@ class _Rows(NamedTuple):
 def _raise_approaches(which: _Rows, normal: Floats2, strays: Floats4, most: Floats1) -> None:
     for m in range(len(which.first)):
         for row in range(which.first[m], which.last[m]):
-            one, other = strays[m, which.pairs[row, 0]], strays[m, which.pairs[row, 1]]
+            first, second = strays[m, which.pairs[row, 0]], strays[m, which.pairs[row, 1]]
             i, j = which.joints[row]
-            nearer = (other[j, 0] - one[i, 0]) * normal[row, 0]
-            nearer += (other[j, 1] - one[i, 1]) * normal[row, 1]
-            nearer += (other[j, 2] - one[i, 2]) * normal[row, 2]
+            nearer = (second[j, 0] - first[i, 0]) * normal[row, 0]
+            nearer += (second[j, 1] - first[i, 1]) * normal[row, 1]
+            nearer += (second[j, 2] - first[i, 2]) * normal[row, 2]
             most[row] = max(most[row], np.inf if np.isnan(nearer) else nearer)
 
 
@@ -307,10 +307,10 @@ def beyond_ordinary(plan: Plan, radii: TubeRadii) -> float:
     if span is None:
         raise ValueError("a plan whose cable does not fold in the air has no tube")
     planned = planned_swing(plan, span, finer=True)
-    found: dict[str, Floats] = {}
+    largest: dict[str, Floats] = {}
     for swung in (planned.swung, *swings_after(plan, span, planned, CHECKS)):
-        _collect_strays(span, swung, found)
-    most = _leaves(np.maximum.reduce(list(found.values())))
+        _collect_strays(span, swung, largest)
+    most = _leaves(np.maximum.reduce(list(largest.values())))
     return float((most - radii.pieces[:, :, LEAVES:]).max())
 
 
@@ -357,8 +357,8 @@ class Swings:
 
     def after(self, courses: Sequence[Course]) -> "Swings":
         """Return the swings with those after changes of the clock's rate."""
-        found = {name: strays.copy() for name, strays in self.found.items()}
-        swings = replace(self, found=found, approach=self.approach.copy())
+        largest = {name: strays.copy() for name, strays in self.found.items()}
+        swings = replace(self, found=largest, approach=self.approach.copy())
         swings.collect(swings_after(self.plan, self.span, self.planned, courses))
         return swings
 
@@ -413,11 +413,11 @@ class Swings:
 
     def wanted(self, strands: int) -> Wanted:
         """Return the strands of the close pairs, in their intervals and beside them."""
-        found = np.zeros((_intervals(self.span), strands), np.bool_)
+        wanted = np.zeros((_intervals(self.span), strands), np.bool_)
         for beside in (-1, 0, 1):
-            bins = np.clip(self.close.bins + beside, 0, len(found) - 1)
-            found[bins[:, None], self.close.pairs] = True
-        return Wanted(self.span[0], found)
+            bins = np.clip(self.close.bins + beside, 0, len(wanted) - 1)
+            wanted[bins[:, None], self.close.pairs] = True
+        return Wanted(self.span[0], wanted)
 
     def nearer_than(self, distance: float) -> "Swings":
         """Return those of the pairs of which tracking errors leave less, without the strays."""
@@ -439,11 +439,11 @@ class Swings:
             collect_settling(self.close, bins[:, -1], last, self.approach)
 
 
-def _collect_strays(span: tuple[float, float], swung: Swung, found: dict[str, Floats]) -> None:
+def _collect_strays(span: tuple[float, float], swung: Swung, largest: dict[str, Floats]) -> None:
     """Add a swing to the largest strays (k, n − 1, links + 1) in each interval, by its change."""
     strays = _moments(swung)
     name = swung.course.name if swung.course else _PLANNED
-    most = found.setdefault(name, np.zeros((_intervals(span), *strays.shape[1:3])))
+    most = largest.setdefault(name, np.zeros((_intervals(span), *strays.shape[1:3])))
     collect_distances(_bins(span, swung).ravel(), strays, most)
 
 

@@ -364,11 +364,11 @@ def _write_boxes(half: Vector, team: Team, required: Required, strands: Strands)
 
 
 @inner
-def _gap(one: Floats, other: Floats) -> float:
+def _gap(first: Floats, second: Floats) -> float:
     """Return the distance of two boxes (6,)."""
     square = 0.0
     for axis in range(3):
-        gap = max(one[axis] - other[3 + axis], other[axis] - one[3 + axis], 0.0)
+        gap = max(first[axis] - second[3 + axis], second[axis] - first[3 + axis], 0.0)
         square += gap * gap
     return float(np.sqrt(square))
 
@@ -436,7 +436,7 @@ def _reach(
 
 @inner
 def _between(
-    kind: int, one: Floats, other: Floats, parts: tuple[tuple[int, int], tuple[int, int]],
+    kind: int, strand: Floats, other: Floats, parts: tuple[tuple[int, int], tuple[int, int]],
     limits: tuple[float, float, float], off: Floats, low: Floats, here: Floats,
 ) -> None:  # fmt: skip
     """Lower the margins of a kind to those of two strands, each from one piece to before another.
@@ -444,22 +444,22 @@ def _between(
     ``limits`` are the required distance and the arcs of their pieces, which may be elsewhere by the
     rows of ``off``.
     """
-    (apart, arc, other_arc), (ones, others) = limits, parts
-    for p in range(ones[0], ones[1], _BLOCK):
-        p_end = min(p + _BLOCK, ones[1])
-        for q in range(others[0], others[1], _BLOCK):
-            q_end = min(q + _BLOCK, others[1])
+    (apart, arc, other_arc), (part, other_part) = limits, parts
+    for p in range(part[0], part[1], _BLOCK):
+        p_end = min(p + _BLOCK, part[1])
+        for q in range(other_part[0], other_part[1], _BLOCK):
+            q_end = min(q + _BLOCK, other_part[1])
             # all of a block is within half of its arc of a point in its middle
             near = low[kind] + apart + 0.5 * _BLOCK * (arc + other_arc)
             near += _most(off[0], p, p_end) + _most(off[1], q, q_end)
-            if point_distance(one[(p + p_end) // 2], other[(q + q_end) // 2]) >= near:
+            if point_distance(strand[(p + p_end) // 2], other[(q + q_end) // 2]) >= near:
                 continue
             for k in range(p, p_end):
                 for m in range(q, q_end):
                     moved = off[0, k] + off[1, m]
                     around = low[kind] + apart + moved + 0.5 * (arc + other_arc)
-                    if _twice_between(one, k, other, m) < 4.0 * around * around:
-                        distance = np.sqrt(segment_distance(one, k, other, m)[0])
+                    if _twice_between(strand, k, other, m) < 4.0 * around * around:
+                        distance = np.sqrt(segment_distance(strand, k, other, m)[0])
                         _lower(kind, distance - apart, moved, low, here)
 
 
@@ -473,11 +473,11 @@ def _most(off: Floats, begin: int, end: int) -> float:
 
 
 @inner
-def _twice_between(one: Floats, k: int, other: Floats, m: int) -> float:
+def _twice_between(strand: Floats, k: int, other: Floats, m: int) -> float:
     """Return the square of twice the distance of the middles of two pieces."""
     square = 0.0
     for axis in range(3):
-        square += (one[k, axis] + one[k + 1, axis] - other[m, axis] - other[m + 1, axis]) ** 2
+        square += (strand[k, axis] + strand[k + 1, axis] - other[m, axis] - other[m + 1, axis]) ** 2
     return float(square)
 
 

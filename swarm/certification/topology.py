@@ -26,16 +26,16 @@ def layout_code(layout: KnotLayout) -> SignedGauss:
 
     Raises :class:`swarm.errors.SwarmError` where the crossings are not those of the corners.
     """
-    found = plan_crossings(layout.corners)
+    crossings = plan_crossings(layout.corners)
     over_of = {frozenset(pair): pair[0] for pair in layout.crossings}
-    met = {frozenset(pair) for pair in found.segments.tolist()}
+    met = {frozenset(pair) for pair in crossings.segments.tolist()}
     if met != set(over_of):
         wrong = sorted(sorted(i + 1 for i in pair) for pair in met ^ set(over_of))
         raise SwarmError(f"crossings in plan view and of the layout differ, segments: {wrong}")
     steps = np.diff(layout.corners[:, :2], axis=0)
     passes = []
     for label, (pair, where) in enumerate(
-        zip(found.segments.tolist(), found.fractions.tolist(), strict=True), start=1
+        zip(crossings.segments.tolist(), crossings.fractions.tolist(), strict=True), start=1
     ):
         over = over_of[frozenset(pair)]
         under = pair[1] if pair[0] == over else pair[0]
@@ -66,15 +66,15 @@ def end_knot(plan: Plan) -> Identification:
     return identify_curve(cable_curve(_held(plan), plan.layout.lengths))
 
 
-def ties_planned_knot(plan: Plan, found: Identification, code: SignedGauss) -> bool:
+def ties_planned_knot(plan: Plan, knot: Identification, code: SignedGauss) -> bool:
     """Return whether a curve, identified and with its crossing ``code``, has the knot of a plan.
 
     A knot with a name is compared by name and chirality, which tracking errors do not change as
     long as no strand passes another; in plan view they may add crossings that change no knot. Any
     other knot is compared by its exact crossing code.
     """
-    if plan.knot.type and found.known:
-        return (found.name, found.chirality) == (plan.knot.type, plan.knot.chirality)
+    if plan.knot.type and knot.known:
+        return (knot.name, knot.chirality) == (plan.knot.type, plan.knot.chirality)
     return same_code(code, layout_code(plan.layout))
 
 
@@ -110,7 +110,7 @@ def tied_knot(plan: Plan) -> TiedKnot:
     at_time = end_time(plan)
     try:
         code = end_code(plan)
-        found = end_knot(plan)
+        knot = end_knot(plan)
     except SwarmError as error:
         message = f"the knot at the end cannot be identified: {error}"
         failed = Finding("error", "crossing code", message, at_time)
@@ -123,16 +123,16 @@ def tied_knot(plan: Plan) -> TiedKnot:
             message = f"crossing code {_text(code)} at the end; {source} has {_text(expected)}"
             findings.append(Finding("error", "crossing code", message, at_time))
     required = (plan.knot.type, plan.knot.chirality)
-    if plan.knot.type and (found.name, found.chirality) != required:
-        message = f"knot {found} at the end; {_knot(*required)} required"
-        severity: Severity = "error" if found.known else "warning"
+    if plan.knot.type and (knot.name, knot.chirality) != required:
+        message = f"knot {knot} at the end; {_knot(*required)} required"
+        severity: Severity = "error" if knot.known else "warning"
         findings.append(Finding(severity, "knot type", message, at_time))
     if not findings:
         as_required = ", as required" if plan.knot.type else ""
-        message = f"knot {found} at the end, crossing code {_text(code)}{as_required}"
+        message = f"knot {knot} at the end, crossing code {_text(code)}{as_required}"
         findings.append(Finding("info", "crossing code", message, at_time))
-    chirality: Chirality = found.chirality  # type: ignore[assignment]
-    return TiedKnot(found.name, chirality, code.signed_text(), tuple(findings))
+    chirality: Chirality = knot.chirality  # type: ignore[assignment]
+    return TiedKnot(knot.name, chirality, code.signed_text(), tuple(findings))
 
 
 def _crossing_findings(plan: Plan, at_time: float) -> list[Finding]:

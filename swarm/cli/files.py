@@ -75,13 +75,13 @@ def _expected(field: FieldInfo) -> str:
 
 def _choices(annotation: Any) -> list[Any]:
     """Return the values of a Literal, bare or optional; empty for another type."""
-    found: list[Any] = []
+    values: list[Any] = []
     for argument in get_args(annotation):
         if isinstance(argument, str):
-            found.append(argument)
+            values.append(argument)
         else:
-            found += _choices(argument)
-    return found
+            values += _choices(argument)
+    return values
 
 
 KINDS = ("mission", "fleet", "world", "scenario")
@@ -147,9 +147,9 @@ def schema(kind: str, write: Path | None) -> None:
         write.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError([Problem(str(write), reason(error))]) from None
-    for one in KINDS:
-        path = write / f"{one}.json"
-        write_text(path, json.dumps(schema_of(one), indent=2) + "\n")
+    for name in KINDS:
+        path = write / f"{name}.json"
+        write_text(path, json.dumps(schema_of(name), indent=2) + "\n")
         click.echo(f"{path}")
 
 

@@ -94,10 +94,10 @@ def resume_flight(
     flight_plan = ResumedFlight(plan, basis, assessment)
     if fleet.emulated is not None:
         raise Refused("the built-in emulator ended with its ground station: no vehicle is flying")
-    left = left_off(log, plan, fleet, recorded_frames(record, plan))
+    moment = left_off(log, plan, fleet, recorded_frames(record, plan))
     attached = "carrying cable" if basis.cable else "without cable"
     console.print(
-        f"Interrupted at {left.mission_time:.1f} s of the plan, {attached}; searching for "
+        f"Interrupted at {moment.mission_time:.1f} s of the plan, {attached}; searching for "
         f"{plan.vehicles} vehicles.",
         highlight=False,
     )
@@ -105,7 +105,7 @@ def resume_flight(
         flight_plan,
         fleet,
         folder,
-        replace(options, no_cable=not basis.cable, control=control_socket(folder), left=left),
+        replace(options, no_cable=not basis.cable, control=control_socket(folder), left=moment),
     )
     prepare_flight()
     with (
@@ -393,9 +393,9 @@ def _emulated_fleet(count: int, firmware: str | None) -> Fleet:
     """
     if firmware is None:
         return emulated_fleet(count)
-    found = re.findall(r"(?:(\d+)\*)?(\w+)=", firmware)
+    matches = re.findall(r"(?:(\d+)\*)?(\w+)=", firmware)
     known = get_args(AutopilotName)
-    kinds = [kind for number, kind in found if kind in known for _ in range(int(number or 1))]
+    kinds = [kind for number, kind in matches if kind in known for _ in range(int(number or 1))]
     return emulated_fleet(count, tuple(kinds) or ("px4",), cable="swinging")
 
 
@@ -457,10 +457,10 @@ def _confirmation(
             elif not answer:
                 return False
             screen.enter_context(shown.screen)
-        for left in range(COUNTDOWN, 0, -1):
+        for seconds in range(COUNTDOWN, 0, -1):
             if answered.is_set():
                 return None
-            shown.screen.countdown(left)
+            shown.screen.countdown(seconds)
             answered.wait(1.0)
         return True
 

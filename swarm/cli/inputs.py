@@ -202,9 +202,9 @@ def refuse_option_conflicts(
         if name in given and not given & set(required)
     ]
     problems += [
-        f"{_option(one)} and {_option(other)} do not go together"
-        for one, other in excludes
-        if {one, other} <= given
+        f"{_option(first)} and {_option(second)} do not go together"
+        for first, second in excludes
+        if {first, second} <= given
     ]
     if problems:
         raise InputError("\n".join(problems))

@@ -77,16 +77,16 @@ def print_planned(options: PlanOptions, *, as_json: bool) -> int:
                     append_row(options.output, row)
     except KeyboardInterrupt:
         interrupted = True
-    found = [rows[name] for name in names if name in rows]
+    completed = [rows[name] for name in names if name in rows]
     if as_json:
-        print_json(found)
+        print_json(completed)
     elif options.as_csv:
-        click.echo(rows_csv(found), nl=False)
+        click.echo(rows_csv(completed), nl=False)
     else:
-        print_plan_rows(found, Console())
+        print_plan_rows(completed, Console())
     if interrupted:
         return Interrupted.exit_code
-    return 0 if all(row["cleared"] for row in found) else 1
+    return 0 if all(row["cleared"] for row in completed) else 1
 
 
 @click.command()
@@ -166,7 +166,7 @@ def knots(
         if name is not None:
             raise click.UsageError("--table is of all knots: leave NAME out")
         context.exit(_check_table(as_json))
-    choices = [lookup_knot(one) for one in ([name] if name else table_names())]
+    choices = [lookup_knot(knot) for knot in ([name] if name else table_names())]
     if plot is not None:
         from swarm.reports.plots import knot_figure, save  # noqa: PLC0415 - slow to import
 

@@ -78,7 +78,7 @@ def current_spelling(arguments: Sequence[str]) -> list[str]:
     if command == "dry-run":
         names = [argument.partition("=")[0] for argument in rest]
         command = next(
-            (one for one in ("trials", "failures", "rope") if f"--{one}" in names), command
+            (word for word in ("trials", "failures", "rope") if f"--{word}" in names), command
         )
         if command in ("failures", "rope"):
             rest.remove(f"--{command}")
@@ -179,12 +179,12 @@ class Commands(click.Group):
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """Return the commands that begin so; no module of a command is imported for it."""
-        found = [
+        matches = [
             CompletionItem(name, help=text)
             for name, (_, text) in COMMANDS.items()
             if name.startswith(incomplete)
         ]
-        return found or click.Command.shell_complete(self, ctx, incomplete)
+        return matches or click.Command.shell_complete(self, ctx, incomplete)
 
 
 @click.command(

@@ -176,9 +176,9 @@ def _front(mission: Mission, as_json: bool, plot: Path | None) -> int:
     from swarm import studies  # noqa: PLC0415 - slow to import
 
     with progress_bar(Console(stderr=True)) as progress:
-        found = list(studies.pareto_front(mission, progress))
-    points = studies.mark_dominated([one for one in found if isinstance(one, studies.FrontPoint)])
-    refused = [one for one in found if isinstance(one, str)]
+        runs = list(studies.pareto_front(mission, progress))
+    points = studies.mark_dominated([run for run in runs if isinstance(run, studies.FrontPoint)])
+    refused = [run for run in runs if isinstance(run, str)]
     if plot and points:
         from swarm.reports.plots import save  # noqa: PLC0415 - slow to import
         from swarm.reports.study_plots import pareto_figure  # noqa: PLC0415

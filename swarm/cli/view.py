@@ -123,12 +123,12 @@ def find_recording(source: Path) -> Path | None:
     Raises :class:`InputError` for a folder without a recording.
     """
     if source.is_dir():
-        found = sorted(source.glob("*.rrd"))
-        if not found:
+        recordings = sorted(source.glob("*.rrd"))
+        if not recordings:
             raise InputError(
                 [Problem(str(source), "expected a flight record with an .rrd file in it")]
             )
-        return found[0]
+        return recordings[0]
     if source.suffix == ".rrd":
         if not source.is_file():
             raise InputError([Problem(str(source), "no such file")])

@@ -177,7 +177,7 @@ def state_facts(plan: Plan | None, snapshot: Snapshot, rates: Rates) -> dict[str
     else:
         allowed = scene.allowed_error(plan, snapshot.mission_time)
         aloft = snapshot.clearances is not None and snapshot.clearances.chord > 0.0
-        margins = [_pair(one) for one in closest_pairs(plan, snapshot.position, cable=aloft)]
+        margins = [_pair(pair) for pair in closest_pairs(plan, snapshot.position, cable=aloft)]
         strands = _cable(plan, snapshot)
     return {
         "kind": "state",
@@ -188,7 +188,7 @@ def state_facts(plan: Plan | None, snapshot: Snapshot, rates: Rates) -> dict[str
         "slowed_by": snapshot.slowed_by,
         "landing": snapshot.landing,
         "wait": _wait(snapshot),
-        "windows": [_window(name, left) for name, left in snapshot.windows.items()],
+        "windows": [_window(name, seconds) for name, seconds in snapshot.windows.items()],
         "margins": [*margins, *_monitored(snapshot)],
         "rows": [_row(snapshot, rates, k, allowed) for k in range(len(snapshot.modes))],
         "commands": {
@@ -208,28 +208,28 @@ def _on_ground(snapshot: Snapshot) -> bool:
 
 def _wait(snapshot: Snapshot) -> dict[str, Any] | None:
     """Return why the clock does not run, who is missing, and the seconds until that ends."""
-    left = _number(snapshot.time_left)
+    seconds = _number(snapshot.time_left)
     if snapshot.held:
         then = "then all land together"
-        return {"words": f"hold: {snapshot.held}", "missing": [], "left": left, "then": then}
+        return {"words": f"hold: {snapshot.held}", "missing": [], "left": seconds, "then": then}
     if snapshot.waiting_for:
         checking = snapshot.phase in _CHECK
         words = snapshot.waiting_for if checking else f"waiting for {snapshot.waiting_for}"
         missing = [] if checking else list(snapshot.missing)
-        return {"words": words, "missing": missing, "left": left, "then": "left"}
+        return {"words": words, "missing": missing, "left": seconds, "then": "left"}
     return None
 
 
-def _window(name: str, left: float | None) -> dict[str, Any]:
+def _window(name: str, seconds: float | None) -> dict[str, Any]:
     """Return a way out of the plan, in words: now, in some seconds, or not any more."""
     when = (
         "not in the rest of the plan"
-        if left is None
+        if seconds is None
         else "now"
-        if left == 0.0
-        else f"in {left:.0f} s"
+        if seconds == 0.0
+        else f"in {seconds:.0f} s"
     )
-    level: Level = "good" if left == 0.0 else "idle"
+    level: Level = "good" if seconds == 0.0 else "idle"
     return {"words": f"{name} {when}", "level": level}
 
 
@@ -257,7 +257,7 @@ def _monitored(snapshot: Snapshot) -> list[dict[str, Any]]:
         return []
     margin = seen.margin
     level: Level = "bad" if margin < 0.0 else "warn" if margin < NEAR_LIMIT else "good"
-    found = [
+    margins = [
         {
             "between": f"smallest margin ({seen.kind})",
             "distance": metres(margin),
@@ -266,7 +266,7 @@ def _monitored(snapshot: Snapshot) -> list[dict[str, Any]]:
         }
     ]
     if seen.chord > 0.0:
-        found.append(
+        margins.append(
             {
                 "between": "tautest segment",
                 "distance": f"{seen.chord:.0%}",
@@ -274,7 +274,7 @@ def _monitored(snapshot: Snapshot) -> list[dict[str, Any]]:
                 "level": "bad" if seen.chord > MAX_CHORD_RATIO else "good",
             }
         )
-    return found
+    return margins
 
 
 def _row(snapshot: Snapshot, rates: Rates, k: int, allowed: float) -> dict[str, Any]:

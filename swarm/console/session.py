@@ -162,7 +162,7 @@ class Session:
     @property
     def joined(self) -> tuple[int, ...]:
         """The connections of people: those that the flight is shown to."""
-        return tuple(k for k, one in self._connections.items() if one.person is not None)
+        return tuple(k for k, client in self._connections.items() if client.person is not None)
 
     @property
     def holder(self) -> str | None:
@@ -226,10 +226,10 @@ class Session:
     def tick(self, now: float) -> list[Output]:
         """Let time pass: end what has waited too long."""
         out: list[Output] = []
-        for connection, one in list(self._connections.items()):
-            if one.person is None and now - one.since > JOIN_TIME:
+        for connection, client in list(self._connections.items()):
+            if client.person is None and now - client.since > JOIN_TIME:
                 out += self._close(connection, JOIN_CODE, "no token", now)
-        gone = [one for one in self._people.values() if one.connection is None]
+        gone = [client for client in self._people.values() if client.connection is None]
         for person in gone:
             if now - person.lost_at > KEPT_TIME:
                 del self._people[person.number]
@@ -362,12 +362,12 @@ class Session:
     # People and tokens
 
     def _returning(self, key: str) -> Person | None:
-        return next((one for one in self._people.values() if key and _same(key, one.key)), None)
+        return next((user for user in self._people.values() if key and _same(key, user.key)), None)
 
     def _new_person(self) -> Person:
         while len(self._people) >= _MOST_PEOPLE:
-            gone = [one for one in self._people.values() if one.connection is None]
-            del self._people[min(gone, key=lambda one: one.lost_at).number]
+            gone = [user for user in self._people.values() if user.connection is None]
+            del self._people[min(gone, key=lambda user: user.lost_at).number]
         self._number += 1
         person = Person(self._number, "", self._new_key(), None)
         self._people[person.number] = person
@@ -398,24 +398,24 @@ class Session:
         """Tell the flight how many people look at it, where the number has changed."""
         before = self.screens
         self.screens = sum(
-            one.connection is not None or now - one.lost_at <= ABSENT_TIME
-            for one in self._people.values()
+            user.connection is not None or now - user.lost_at <= ABSENT_TIME
+            for user in self._people.values()
         )
         return [] if self.screens == before else [Tell(f"screens {self.screens}")]
 
     def _everyone(self, now: float) -> list[Output]:
         """Tell all who is there, who has command, and who asks for it."""
         asking = self._asking
-        left = None if asking is None else max(ANSWER_TIME - (now - asking[1]), 0.0)
+        seconds = None if asking is None else max(ANSWER_TIME - (now - asking[1]), 0.0)
         message = {
             "kind": "people",
             "people": [
-                {"number": one.number, "words": one.words, "here": one.connection is not None}
-                for one in self._people.values()
+                {"number": user.number, "words": user.words, "here": user.connection is not None}
+                for user in self._people.values()
             ],
             "holder": self._holder.number if self._holder else None,
             "asking": None if asking is None else asking[0].number,
-            "left": left,
+            "left": seconds,
         }
         return [Send(connection, message) for connection in self.joined]
 
@@ -456,9 +456,9 @@ def _plain(token: str) -> str:
     return "".join(token.replace("-", "").split()).lower()
 
 
-def _same(one: str, other: str) -> bool:
+def _same(first: str, second: str) -> bool:
     """Compare two secrets in a time that says nothing about them."""
-    return hmac.compare_digest(one.encode("utf-8", "replace"), other.encode("utf-8", "replace"))
+    return hmac.compare_digest(first.encode("utf-8", "replace"), second.encode("utf-8", "replace"))
 
 
 def _note(words: str) -> Tell:

@@ -89,10 +89,10 @@ def _read_finding(document: Mapping[str, Any]) -> Finding:
 
 
 def _read_tightest(document: Mapping[str, Any]) -> Tightest:
-    distance, (one, other) = document["distance"], document["between"]
+    distance, (first, second) = document["distance"], document["between"]
     return Tightest(
         inf if distance is None else float(distance),
         float(document["required"]),
         float(document["time"]),
-        (str(one), str(other)),
+        (str(first), str(second)),
     )

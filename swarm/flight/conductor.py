@@ -62,7 +62,7 @@ from swarm.planning.clock_limits import clock_limits
 def initial_state(setup: Setup, resumption: Resumption) -> FlightState:
     """Return the state of a flight that has not begun, or that is to be resumed in the air."""
     plan, fleet, recorder = setup.plan, setup.fleet, Recorder()
-    n, left = plan.vehicles, resumption.left_off
+    n, ending = plan.vehicles, resumption.left_off
     tracking = plan.mission.vehicles.tracking if setup.options.corrected else None
     guidance, braking = Guidance(plan.motion), plan.mission.vehicles.braking_acceleration
     starts = guidance.planned(0.0).position
@@ -71,9 +71,9 @@ def initial_state(setup: Setup, resumption: Resumption) -> FlightState:
     # the order of the vehicles is a guess until their positions are known
     flying = list(team.vehicles.values())[:n]
     placement = Placement(None, np.zeros(n), np.full((n, 3), np.nan))
-    if left is not None:
-        flying = [team.vehicles[system] for system in left.known.systems]
-        placement = Placement(left.known.frames, left.known.yaw, starts)
+    if ending is not None:
+        flying = [team.vehicles[system] for system in ending.known.systems]
+        placement = Placement(ending.known.frames, ending.known.yaw, starts)
     roster = Roster.of(flying)
     flight = FlightState(
         setup=setup,
@@ -90,7 +90,7 @@ def initial_state(setup: Setup, resumption: Resumption) -> FlightState:
             0.0, roster.names, team.telemetry.values, roster.rows, Measured.of(n)
         ),
         streams=Streams.of(n),
-        stage=Stage.PREPARE if left is None else Stage.RESUME,
+        stage=Stage.PREPARE if ending is None else Stage.RESUME,
         resumption=resumption,
     )
     team.report_to(flight.report_of_system)

@@ -258,11 +258,11 @@ def _rate(flight: FlightState, target: float | None) -> float:
     follow must not be left behind.
     """
     clock = flight.clock
-    left = 0.0 if target is None else target - clock.time
-    if abs(left) < 0.02 or _any_silent(flight) or _rejoins(flight):
+    difference = 0.0 if target is None else target - clock.time
+    if abs(difference) < 0.02 or _any_silent(flight) or _rejoins(flight):
         return 0.0
-    braking = 0.5 * math.sqrt(2.0 * clock.steepest * abs(left))
-    return math.copysign(min(allowed_pace(flight, backwards=left < 0.0), braking), left)
+    braking = 0.5 * math.sqrt(2.0 * clock.steepest * abs(difference))
+    return math.copysign(min(allowed_pace(flight, backwards=difference < 0.0), braking), difference)
 
 
 def _any_silent(flight: FlightState) -> bool:
@@ -676,9 +676,9 @@ def _below_caught(flight: FlightState) -> npt.NDArray[np.bool_]:
         descends = more
 
 
-def _holders(each: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+def _holders(flags: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
     """Return what holds for the first and for the second vehicle of each strand (n − 1,)."""
-    return each[:-1], each[1:]
+    return flags[:-1], flags[1:]
 
 
 def _note_waiting(flight: FlightState, above: Vehicle | None, turning: Sequence[Vehicle]) -> None:

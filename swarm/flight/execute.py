@@ -257,8 +257,8 @@ _STEP = 0.05
 
 def find_team(flight: FlightState) -> None:
     """Search the team; once all vehicles are received, go on where they are, and hold."""
-    left = flight.resumption.left_off
-    if left is None:
+    ending = flight.resumption.left_off
+    if ending is None:
         raise ValueError("this flight was not interrupted")
     if flight.progress.first_time(-1, "search"):
         flight.progress.gate_since = flight.now
@@ -275,8 +275,8 @@ def find_team(flight: FlightState) -> None:
         names = flight.names(disarmed)
         flight.finish("failed", f"no longer flying: {names}; the others land by their failsafes")
         return
-    time, off = _place_in_plan(flight, left)
-    _go_on(flight, left, time)
+    time, off = _place_in_plan(flight, ending)
+    _go_on(flight, ending, time)
     flight.report(
         "resume", f"found the team at {time:.1f} s of the plan, up to {off:.2f} m from it"
     )
@@ -308,28 +308,28 @@ def _missing(flight: FlightState) -> list[Vehicle]:
     ]
 
 
-def _go_on(flight: FlightState, left: LeftOff, time: float) -> None:
+def _go_on(flight: FlightState, ending: LeftOff, time: float) -> None:
     """Continue the plan at a mission time, at rest; no vehicle gets setpoints yet."""
     flight.clock.time = time
     flight.clock.set_stopped()
-    flight.progress.gate = left.gate
+    flight.progress.gate = ending.gate
     flight.streams.expect_armed()
     for vehicle in flight.roster.vehicles:
-        vehicle.gripped = left.gripped
+        vehicle.gripped = ending.gripped
         vehicle.take_events()
     flight.change_stage(Trigger.TEAM_FOUND)
 
 
-def _place_in_plan(flight: FlightState, left: LeftOff) -> tuple[float, float]:
+def _place_in_plan(flight: FlightState, ending: LeftOff) -> tuple[float, float]:
     """Return the mission time around the last one that fits best, and the largest distance."""
     gates, plan = flight.setup.gates, flight.setup.plan
-    low = gates[left.gate - 1].time if left.gate else 0.0
-    high = gates[left.gate].time if left.gate < len(gates) else plan.duration
+    low = gates[ending.gate - 1].time if ending.gate else 0.0
+    high = gates[ending.gate].time if ending.gate < len(gates) else plan.duration
     times = np.arange(
-        max(low, left.mission_time - AROUND), min(high, left.mission_time + AROUND), _STEP
+        max(low, ending.mission_time - AROUND), min(high, ending.mission_time + AROUND), _STEP
     )
     if not len(times):
-        times = np.array([left.mission_time])
+        times = np.array([ending.mission_time])
     apart = plan.motion.at(times)[0] - flight.observation.position
     off = np.linalg.norm(apart, axis=2).max(axis=1)
     best = int(np.argmin(off))

@@ -235,14 +235,14 @@ class Guidance:
     def _blended(self, state: State, now: float) -> State:
         u = np.clip((now - self._blend_since) / self._blend_time, 0.0, 1.0)[:, None]
         time = self._blend_time[:, None]
-        left = 1.0 - u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        fraction = 1.0 - u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
         slowing = -30.0 * u**2 * (1.0 - u) ** 2 / time
         bending = -60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / time**2
         if np.all(u >= 1.0):
             self._blend[:] = 0.0
             self.blending = False
         return State(
-            state.position + self._blend * left,
+            state.position + self._blend * fraction,
             state.velocity + self._blend * slowing,
             state.acceleration + self._blend * bending,
         )

@@ -85,9 +85,9 @@ def rotation_vector(matrix: Floats) -> Floats:
     return column * (angle / float(np.linalg.norm(column)))
 
 
-def _angle(one: Floats, other: Floats) -> float:
+def _angle(first: Floats, second: Floats) -> float:
     """Return the angle between two rotations, radians."""
-    return float(np.linalg.norm(rotation_vector(one.T @ other)))
+    return float(np.linalg.norm(rotation_vector(first.T @ second)))
 
 
 @dataclass(frozen=True)
@@ -242,11 +242,11 @@ def _told(result: Identified) -> list[Finding]:
 def conclusions(results: Iterable[Identified]) -> tuple[Finding, ...]:
     """Return the findings of several vehicles; bodies that are exchanged have one together."""
     given = {result.system: result for result in results}
-    found: list[Finding] = []
+    findings: list[Finding] = []
     named: set[int] = set()
     for system, result in given.items():
         if result.body is None or result.body == system:
-            found += _told(result)
+            findings += _told(result)
             continue
         ring = _ring(system, given)
         if len(ring) == 2:
@@ -259,10 +259,10 @@ def conclusions(results: Iterable[Identified]) -> tuple[Finding, ...]:
         else:
             words = f"vehicle {system} moves body {result.body}, not body {system}"
         if not named.intersection(ring):
-            found.append(Finding("error", "bodies", words))
+            findings.append(Finding("error", "bodies", words))
         named.update(ring)
-        found += result.problems
-    return tuple(found)
+        findings += result.problems
+    return tuple(findings)
 
 
 def _ring(system: int, given: Mapping[int, Identified]) -> list[int]:

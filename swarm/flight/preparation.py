@@ -281,14 +281,14 @@ class Standstill:
         """Return the vehicles whose receivers do not use the corrections yet."""
         if self.tracking is None or self.fleet.frame != "gps":
             return []
-        found = []
+        findings = []
         for vehicle in vehicles:
             fix, error = FIXES.get(vehicle.fix_type, ("", 0.0))
             if error > self.tracking:
                 words = f"system {vehicle.system}: {fix}, with errors of {error:g} m, though "
                 words += "corrections are sent: RTK fixed is needed"
-                found.append(Finding("error", "position", words))
-        return found
+                findings.append(Finding("error", "position", words))
+        return findings
 
     def _moved(self, vehicles: Sequence[Vehicle], measured: Floats) -> list[Finding]:
         """Return the vehicles that report another place than at first, though they stand.

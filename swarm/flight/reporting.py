@@ -166,30 +166,30 @@ def landing(flight: FlightState) -> float | None:
     With waits at the gates to come, as :attr:`Plan.expected_waits`, and a clock that slows before
     the fold ends. None outside the plan, and in a hold, which may last for any time.
     """
-    left, time, plan = remaining(flight), flight.clock.time, flight.setup.plan
-    if left is None or flight.holds.causes or flight.progress.rewinding:
+    remainder, time, plan = remaining(flight), flight.clock.time, flight.setup.plan
+    if remainder is None or flight.holds.causes or flight.progress.rewinding:
         return None
     waits = [plan.expected_wait(gate) for gate in flight.setup.gates[flight.progress.gate :]]
     if flight.progress.waiting and waits:
         waits[0] = max(waits[0] - (flight.now - flight.progress.gate_since), 0.0)
     folds = any(phase.name == "fold" and time < phase.end for phase in plan.phases)
-    return left + sum(waits) + (plan.expected_slowing if folds else 0.0)
+    return remainder + sum(waits) + (plan.expected_slowing if folds else 0.0)
 
 
 def windows(flight: FlightState) -> dict[str, float | None]:
     """Return the mission time until all can land together, and release the cable: 0 now, None not
     in the rest of the plan; none of both outside the plan."""
-    found: dict[str, float | None] = {}
+    times: dict[str, float | None] = {}
     if flight.stage is not Stage.EXECUTE or flight.contingency is not None:
-        return found
+        return times
     time, of = flight.clock.time, flight.setup.windows
     now = {"land": of.can_land(time), "release": of.can_release(time)}
     for name, flags in (("land", of.land), ("release", of.release)):
         later = of.time[flags & (of.time > time)]
-        found[name] = 0.0 if now[name] else float(later[0] - time) if len(later) else None
+        times[name] = 0.0 if now[name] else float(later[0] - time) if len(later) else None
     if not flight.attached:
-        found.pop("release")
-    return found
+        times.pop("release")
+    return times
 
 
 TRACE_INTERVAL = 0.1
@@ -233,7 +233,7 @@ def snapshot_of(flight: FlightState, now: float) -> Snapshot:
         battery=np.array([vehicle.battery for vehicle in vehicles]),
         link_age=np.array([max(now - vehicle.received_at, 0.0) for vehicle in vehicles]),
         clearances=flight.clearances,
-        available={name: (one.open, one.words) for name, one in available(flight).items()},
+        available={name: (entry.open, entry.words) for name, entry in available(flight).items()},
         round_trip=np.array([vehicle.latest_round_trip for vehicle in vehicles]),
         received=np.array([float(vehicle.packets) for vehicle in vehicles]),
         lost=np.array([float(vehicle.lost_packets) for vehicle in vehicles]),

@@ -25,5 +25,5 @@ def requested(event: Event) -> tuple[str, str] | None:
 
     Requests without an author, which only programs make, are not recognized.
     """
-    found = _REQUESTED.match(event.message) if event.kind == "operator" else None
-    return (found[1], found[2]) if found else None
+    match = _REQUESTED.match(event.message) if event.kind == "operator" else None
+    return (match[1], match[2]) if match else None

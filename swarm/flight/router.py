@@ -409,17 +409,17 @@ class Team:
             return True
         together = b"".join([data for _, data in arrived])
         rows = packet_rows(together)
-        left = read_datagrams(
+        count = read_datagrams(
             together, np.array(origins).reshape(-1, 3), CRC_EXTRAS, (self._link_number[link], now),
             self.telemetry.arrays, rows,
         )  # fmt: skip
-        for which, number, component, start, end, order in rows[: max(left, 0)].tolist():
+        for which, number, component, start, end, order in rows[: max(count, 0)].tolist():
             message = unpack(number, together[start:end]) if number in HANDLED_MESSAGES else None
             speakers[which].read(number, component, message, now, order)
             if number == _HEARTBEAT:
                 packet = Packet(number, speakers[which].system, component, 0, message)
                 self._beat((link, arrived[which][0]), packet, now)
-        return left >= 0
+        return count >= 0
 
     def trusts(self, link: str, address: Address | None, packet: bytes) -> bool:
         """Return whether a packet is from its vehicle's address, and signed if it must be."""

@@ -103,7 +103,7 @@ def reactions(training: Training, events: Sequence[Event]) -> tuple[Reaction, ..
     end = max((event.time for event in events), default=0.0)
     ordered = sorted(training.faults, key=lambda fault: fault.time)
     own = _own_reactions(events)
-    found = []
+    outcomes = []
     for fault in ordered:
         later = [other for other in ordered if other.time > fault.time]
         until = min((other.time for other in later), default=float("inf"))
@@ -118,8 +118,8 @@ def reactions(training: Training, events: Sequence[Event]) -> tuple[Reaction, ..
             event for event in _between(events, fault.time, until) if _made_by_operator(event)
         )
         team = tuple(_between(own, fault.time, until))
-        found.append(Reaction(fault, fault.time < end, detected, team, request))
-    return tuple(found)
+        outcomes.append(Reaction(fault, fault.time < end, detected, team, request))
+    return tuple(outcomes)
 
 
 def _concerned(fault: InjectedFault, vehicles: Sequence[int]) -> bool:

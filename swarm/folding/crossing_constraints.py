@@ -46,13 +46,13 @@ def crossing_signs(strands: Outlines, around: int) -> CrossingSigns:
     first, second = segment_pairs(count)
     signs = np.zeros((moments, len(first)), dtype=np.int8)
     vehicles = np.zeros((moments, count + 1, count), dtype=np.int8)
-    found = find_crossings(strands, first, second)
-    for crossing, sign in zip(found, required_signs(found, count), strict=True):
+    crossings = find_crossings(strands, first, second)
+    for crossing, sign in zip(crossings, required_signs(crossings, count), strict=True):
         signs[crossing.begin : crossing.end + 1, crossing.pair] = sign
         for passing in crossing.passings:
             near = slice(max(passing.moment - around, 0), passing.moment + around + 1)
             vehicles[near, passing.vehicle, passing.strand] = sign * crossing.sign_of(passing)
-    for pair in np.unique([crossing.pair for crossing in found]).astype(np.intp):
+    for pair in np.unique([crossing.pair for crossing in crossings]).astype(np.intp):
         signs[:, pair] = _extended(signs[:, pair], around)
     return CrossingSigns(signs, vehicles)
 

@@ -61,11 +61,11 @@ class Crossing:
 
 def find_crossings(strands: Outlines, first: Ints, second: Ints) -> list[Crossing]:
     """Return all crossings of pairs (p,) of strands (s, n − 1), which share no vehicles."""
-    found: list[Crossing] = []
+    crossings: list[Crossing] = []
     heights = np.empty(len(strands.ratio))
-    for pair, (one, other) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
+    for pair, (strand, other) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
         crossing_heights(
-            np.ascontiguousarray(strands.points[:, one]),
+            np.ascontiguousarray(strands.points[:, strand]),
             np.ascontiguousarray(strands.points[:, other]),
             heights,
         )
@@ -73,48 +73,48 @@ def find_crossings(strands: Outlines, first: Ints, second: Ints) -> list[Crossin
         for begin, end in zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True):
             lasts = end == len(heights) - 1
             moments = (begin,) if lasts else (begin, end)
-            found.append(
+            crossings.append(
                 Crossing(
-                    pair, one, other, begin, end,
-                    tuple(_passing(strands, moment, one, other) for moment in moments),
+                    pair, strand, other, begin, end,
+                    tuple(_passing(strands, moment, strand, other) for moment in moments),
                     float(heights[-1] if lasts else heights[begin : end + 1].sum()),
                 )
             )  # fmt: skip
-    return found
+    return crossings
 
 
-def required_signs(found: list[Crossing], segments: int) -> list[int]:
+def required_signs(crossings: list[Crossing], segments: int) -> list[int]:
     """Return the sign of every crossing: 1 where the first strand must be over the second."""
-    signs = [0] * len(found)
-    neighbours = _connections(found, segments)
-    for k in range(len(found)):
+    signs = [0] * len(crossings)
+    neighbours = _connections(crossings, segments)
+    for k in range(len(crossings)):
         if signs[k] == 0:
             thread = _thread(k, neighbours)
-            sign = _thread_sign([(found[member], factor) for member, factor in thread.items()])
+            sign = _thread_sign([(crossings[member], factor) for member, factor in thread.items()])
             for member, factor in thread.items():
                 signs[member] = sign * factor
     return signs
 
 
-def _passing(strands: Outlines, moment: int, one: int, other: int) -> Passing:
+def _passing(strands: Outlines, moment: int, first: int, second: int) -> Passing:
     """Return the passing of a vehicle with which two strands begin or cease to cross."""
     points = strands.points[moment]
-    here, there = plan_crossing(points[one], points[other])
-    ends = [(here, one, 0), (1.0 - here, one, 1), (there, other, 0), (1.0 - there, other, 1)]
+    here, there = plan_crossing(points[first], points[second])
+    ends = [(here, first, 0), (1.0 - here, first, 1), (there, second, 0), (1.0 - there, second, 1)]
     _, segment, end = min(ends)
-    strand, share = (other, there) if segment == one else (one, here)
+    strand, share = (second, there) if segment == first else (first, here)
     height = float(points[segment, -end, 2]) - height_at_span(points[strand], share)
     return Passing(moment, segment + end, strand, height)
 
 
-def _connections(found: list[Crossing], segments: int) -> list[list[tuple[int, int]]]:
+def _connections(crossings: list[Crossing], segments: int) -> list[list[tuple[int, int]]]:
     """Return the neighbours of every crossing in its thread, with the products of signs."""
     meets: dict[tuple[int, int], list[tuple[int, int, Passing]]] = defaultdict(list)
-    for k, crossing in enumerate(found):
+    for k, crossing in enumerate(crossings):
         for passing in crossing.passings:
             own = crossing.first if passing.strand == crossing.second else crossing.second
             meets[passing.vehicle, passing.strand].append((k, own, passing))
-    neighbours: list[list[tuple[int, int]]] = [[] for _ in found]
+    neighbours: list[list[tuple[int, int]]] = [[] for _ in crossings]
     for (vehicle, _), several in meets.items():
         if not 0 < vehicle < segments:
             continue
@@ -122,7 +122,7 @@ def _connections(found: list[Crossing], segments: int) -> list[list[tuple[int, i
             for other, other_own, next_passing in several[i + 1 :]:
                 together = abs(passing.moment - next_passing.moment) <= _TOGETHER
                 if together and other_own != own:
-                    factor = found[k].sign_of(passing) * found[other].sign_of(next_passing)
+                    factor = crossings[k].sign_of(passing) * crossings[other].sign_of(next_passing)
                     neighbours[k].append((other, factor))
                     neighbours[other].append((k, factor))
     return neighbours

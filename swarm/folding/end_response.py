@@ -38,27 +38,28 @@ _NO_SPAN = 1e-9
 
 @compiled
 def write_largest_responses(
-    shapes: Floats3, tracking: float, tables: Sensitivity, found: Floats3
+    shapes: Floats3, tracking: float, tables: Sensitivity, responses: Floats3
 ) -> None:
     """Write the largest movement of any point of strands (s, n − 1), in any direction.
 
-    ``shapes`` (s, n − 1, 5) are their catenaries. ``found`` (s, n − 1, 2): metres per metre of both
-    ends when these move by the tracking error, and of the far end when it moves by twice as much.
+    ``shapes`` (s, n − 1, 5) are their catenaries. ``responses`` (s, n − 1, 2): metres per metre of
+    both ends when these move by the tracking error, and of the far end when it moves by twice as
+    much.
     """
     for s in range(shapes.shape[0]):
         for i in range(shapes.shape[1]):
-            write_largest_response(shapes[s, i], tracking, tables, found[s, i])
+            write_largest_response(shapes[s, i], tracking, tables, responses[s, i])
 
 
 @inner
 def write_largest_response(
-    shape: Floats, tracking: float, tables: Sensitivity, found: Floats
+    shape: Floats, tracking: float, tables: Sensitivity, response: Floats
 ) -> None:
-    """As :func:`write_largest_responses`, for one strand: ``shape`` (5,), ``found`` (2,)."""
+    """As :func:`write_largest_responses`, for one strand: ``shape`` (5,), ``response`` (2,)."""
     strand, relative = catenary_of(shape), 2.0 * tracking
     steep, ratios = chord_range(strand.rise, strand.span, strand.length, relative)
-    found[0] = _size(movement_bound(tables, steep, BOTH_ENDS, 1, ratios))
-    found[1] = _size(movement_bound(tables, steep, FAR_END, 1, ratios))
+    response[0] = _size(movement_bound(tables, steep, BOTH_ENDS, 1, ratios))
+    response[1] = _size(movement_bound(tables, steep, FAR_END, 1, ratios))
 
 
 @inner

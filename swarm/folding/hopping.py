@@ -44,10 +44,10 @@ def basin_hopping(band: ElasticBand, offsets: Floats) -> Floats:
         if penalty.missed[worst] <= _ACCEPTED**2:
             break
         size = np.linalg.norm(penalty.gradient[worst], axis=1)
-        found = _hop(band, offsets, worst // band.density, np.argsort(-size)[:_VEHICLES])
-        if found is None:
+        moved = _hop(band, offsets, worst // band.density, np.argsort(-size)[:_VEHICLES])
+        if moved is None:
             break
-        offsets = found
+        offsets = moved
     return offsets
 
 

@@ -139,8 +139,8 @@ def _lattice(
 def _edge(path: FoldPath, station: Floats) -> Ints:
     """Return the edge (k,) of each station; −1 on the run-in."""
     edges = np.searchsorted(path.stations, station, side="right") - 1
-    found: Ints = np.clip(edges, -1, len(path.stations) - 2)
-    return found
+    clipped: Ints = np.clip(edges, -1, len(path.stations) - 2)
+    return clipped
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,11 +177,11 @@ def _backtrack(best: Floats, first: int) -> tuple[Ints, Ints]:
         # The path came from the cheapest of the places before: the step's own cost is the same,
         # but for the small cost of a step of one vehicle.
         both = best[b - 1, a - 1] if b and a else np.inf
-        one = best[b - 1, a] + _OFF_PACE if b else np.inf
-        other = best[b, a - 1] + _OFF_PACE if a else np.inf
-        if both <= one and both <= other:
+        front = best[b - 1, a] + _OFF_PACE if b else np.inf
+        rear = best[b, a - 1] + _OFF_PACE if a else np.inf
+        if both <= front and both <= rear:
             b, a = b - 1, a - 1
-        elif one <= other:
+        elif front <= rear:
             b -= 1
         else:
             a -= 1

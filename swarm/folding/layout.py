@@ -124,10 +124,10 @@ def lay_out_corners(corners: npt.ArrayLike, sags: npt.ArrayLike, cell: float = 0
     placed = np.concatenate([plan, np.zeros((len(plan), 1))], axis=1)
     depth = np.asarray(sags, dtype=np.float64)
     pairs = plan_crossings(placed).segments
-    for one, other in pairs:
-        if depth[one] == depth[other]:
+    for first, second in pairs:
+        if depth[first] == depth[second]:
             raise Refused(
-                f"segments {one + 1} and {other + 1} cross and both sag {depth[one]:g} m: "
+                f"segments {first + 1} and {second + 1} cross and both sag {depth[first]:g} m: "
                 "which passes over is not defined"
             )
     deeper = depth[pairs[:, 0]] > depth[pairs[:, 1]]

@@ -146,11 +146,11 @@ def penalize_junction(
             return least - wanted
     spare = np.inf
     for own, limit, near in ((i, ends, level), (i + 1, begins, level_after)):
-        left = near * sine - reach
-        if left < 0.0:
+        remaining = near * sine - reach
+        if remaining < 0.0:
             apart = _FreePart(own, limit, wanted, reach, sine)
-            left = _penalize_free_part(chain, junction, apart, model, moment)
-        spare = min(spare, left)
+            remaining = _penalize_free_part(chain, junction, apart, model, moment)
+        spare = min(spare, remaining)
     return spare
 
 
@@ -261,14 +261,14 @@ def _penalize_free_part(
     error = point_movement(shapes[own], here, normal[2], moved, tables)
     moved = error_of_ends(NEAR_END if outward else FAR_END, 2.0 * tracking)
     error += point_movement(shapes[neighbour], there, normal[2], moved, tables)
-    left = distance - free.wanted - error
-    if left < 0.0:
-        short = -left / (model.margins.cable + 2.0 * tracking)
+    remaining = distance - free.wanted - error
+    if remaining < 0.0:
+        short = -remaining / (model.margins.cable + 2.0 * tracking)
         moment.missed[0] += short * short
         push, gradient = short / (model.margins.cable + 2.0 * tracking), moment.gradient[0]
         add_to_ends(gradient, own, outline, shapes[own], here, times(-push, normal))
         add_to_ends(gradient, neighbour, other, shapes[neighbour], there, times(push, normal))
-    return left
+    return remaining
 
 
 @inner
@@ -289,11 +289,11 @@ def _close_points(points: Floats, reach: float, sine: float, outward: bool) -> t
 @inner
 def _nearest_corner(point: Floats, corners: Floats) -> float:
     """Return the distance of the nearest of corners (k, 3) from a point."""
-    found = np.inf
+    square = np.inf
     for k in range(len(corners)):
         x, y, z = corners[k, 0] - point[0], corners[k, 1] - point[1], corners[k, 2] - point[2]
-        found = min(found, x * x + y * y + z * z)
-    return float(np.sqrt(found))
+        square = min(square, x * x + y * y + z * z)
+    return float(np.sqrt(square))
 
 
 @inner
@@ -305,9 +305,9 @@ def _in_free_part(place: float, limit: float, first: bool) -> float:
 @inner
 def _place_at(sizes: Floats, share: float) -> float:
     """Return the place on a polyline with edges of lengths (k,) after a share of its length."""
-    left = share * sizes.sum()
+    remaining = share * sizes.sum()
     for k in range(len(sizes)):
-        if sizes[k] >= left:
-            return float(k + left / max(sizes[k], 1e-12))
-        left -= sizes[k]
+        if sizes[k] >= remaining:
+            return float(k + remaining / max(sizes[k], 1e-12))
+        remaining -= sizes[k]
     return float(len(sizes))

@@ -170,8 +170,8 @@ class ElasticBand:
     def moments(self, windows: Sequence[slice]) -> Ints:
         """Return the moments that depend on the offsets in windows of stages."""
         inside = [np.diff(self.weights[:, window].indptr) for window in windows]
-        found: Ints = np.flatnonzero(np.any(inside, axis=0))
-        return found
+        changed: Ints = np.flatnonzero(np.any(inside, axis=0))
+        return changed
 
     def penalty(self, offsets: Floats, moments: slice = slice(None)) -> Penalty:
         """Return the missed margins with offsets, at some moments or all, without preferences."""
@@ -210,7 +210,7 @@ class ElasticBand:
             return float(total), (gradient + 2.0 * _PREFERENCE_COST * variables).ravel()
 
         begin = np.zeros(weights.shape[1] * base[0].size)
-        found = scipy.optimize.minimize(
+        minimum = scipy.optimize.minimize(
             cost,
             begin,
             jac=True,
@@ -218,7 +218,7 @@ class ElasticBand:
             options={"maxiter": settings.steps, "maxcor": 12, "ftol": settings.settled},
         )
         changed = offsets.copy()
-        change = smooth @ found.x.reshape(weights.shape[1], -1)
+        change = smooth @ minimum.x.reshape(weights.shape[1], -1)
         changed[window] += change.reshape(changed[window].shape)
         return changed
 

@@ -90,30 +90,30 @@ def reachable_length(length: float, chord: float) -> float:
 
 
 @compiled
-def crossing_heights(one: Floats3, other: Floats3, found: Floats1) -> None:
+def crossing_heights(first: Floats3, second: Floats3, heights: Floats1) -> None:
     """Write :func:`crossing_height` of outlines (q, k, 3) and others, pair by pair."""
-    for q in range(len(one)):
-        found[q] = crossing_height(one[q], other[q])
+    for q in range(len(first)):
+        heights[q] = crossing_height(first[q], second[q])
 
 
 @inner
-def crossing_height(one: Floats, other: Floats) -> float:
+def crossing_height(first: Floats, second: Floats) -> float:
     """Return the height of a strand over another where they cross in plan view, else 0."""
-    here, there = plan_crossing(one, other)
+    here, there = plan_crossing(first, second)
     if not (0.0 < here < 1.0 and 0.0 < there < 1.0):
         return 0.0
-    return height_at_span(one, here) - height_at_span(other, there)
+    return height_at_span(first, here) - height_at_span(second, there)
 
 
 @compiled
-def plan_crossing(one: Floats2, other: Floats2) -> tuple[float, float]:
+def plan_crossing(first: Floats2, second: Floats2) -> tuple[float, float]:
     """Return the shares of two spans at which the lines along them cross in plan view.
 
     A strand lies in a vertical plane, so both are straight in plan view. −1 where parallel.
     """
-    u_x, u_y = one[-1, 0] - one[0, 0], one[-1, 1] - one[0, 1]
-    w_x, w_y = other[-1, 0] - other[0, 0], other[-1, 1] - other[0, 1]
-    apart_x, apart_y = other[0, 0] - one[0, 0], other[0, 1] - one[0, 1]
+    u_x, u_y = first[-1, 0] - first[0, 0], first[-1, 1] - first[0, 1]
+    w_x, w_y = second[-1, 0] - second[0, 0], second[-1, 1] - second[0, 1]
+    apart_x, apart_y = second[0, 0] - first[0, 0], second[0, 1] - first[0, 1]
     area = u_x * w_y - u_y * w_x
     if abs(area) < _PARALLEL:
         return -1.0, -1.0
@@ -142,7 +142,7 @@ def point_at(points: Floats, place: float) -> Vector:
 
 @inner
 def direction_between(
-    one: Floats, here: float, other: Floats, there: float, distance: float
+    first: Floats, here: float, second: Floats, there: float, distance: float
 ) -> Vector:
     """Return the unit vector from a place on the second outline to a place on the first.
 
@@ -150,5 +150,5 @@ def direction_between(
     """
     if distance <= _TOUCHING:
         return 0.0, 0.0, 1.0
-    apart = difference(point_at(one, here), point_at(other, there))
+    apart = difference(point_at(first, here), point_at(second, there))
     return apart[0] / distance, apart[1] / distance, apart[2] / distance

@@ -212,7 +212,7 @@ class FoldPath:
     def _by_station(self, vehicle: int, station: Floats, order: int) -> Floats:
         """Return a derivative (…, 3) of a vehicle's position by the station (…,)."""
         guide, height = self.guide, self._height(vehicle)
-        found: Floats = np.concatenate(
+        derivative: Floats = np.concatenate(
             [guide.plan(station, order), height(station, order)], axis=-1
         )
         if vehicle > 0:
@@ -222,8 +222,8 @@ class FoldPath:
             sharp = (station > last - min(guide.rounding, 0.5 * span))[..., None]
             ahead = (station - last)[..., None] * heading + guide.corners[vehicle, :2]
             straight = (ahead, heading, 0.0)[order]
-            found[..., :2] = np.where(sharp, straight, found[..., :2])
-        return found
+            derivative[..., :2] = np.where(sharp, straight, derivative[..., :2])
+        return derivative
 
 
 _STEEP_END = 1.6

@@ -113,8 +113,8 @@ class TeamGeometry:
             return self._penalty(positions[some], signs[some], extra[some], kept, preferences)
 
         parts = _parts(len(positions))
-        found = list(side_by_side(part, parts, threads=len(parts)))
-        return Penalty(*(np.concatenate(each) for each in zip(*found, strict=True)))
+        penalties = list(side_by_side(part, parts, threads=len(parts)))
+        return Penalty(*(np.concatenate(each) for each in zip(*penalties, strict=True)))
 
     def missed(
         self, positions: Floats, signs: CrossingSigns, extra: ExtraMargins

@@ -63,11 +63,11 @@ def lay_out_star(vertices: int, order: Sequence[int], margins: Margins) -> KnotL
     turn = 2.0 * np.pi * (vertices // 2) / vertices
     angles = turn * np.arange(vertices)
     flat = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    found = plan_crossings(flat)
+    crossings = plan_crossings(flat)
     level = np.argsort(np.asarray(order))
-    swap = level[found.segments[:, 0]] > level[found.segments[:, 1]]
-    pairs = np.where(swap[:, None], found.segments[:, ::-1], found.segments)
-    shares = np.where(swap[:, None], found.fractions[:, ::-1], found.fractions)
+    swap = level[crossings.segments[:, 0]] > level[crossings.segments[:, 1]]
+    pairs = np.where(swap[:, None], crossings.segments[:, ::-1], crossings.segments)
+    shares = np.where(swap[:, None], crossings.fractions[:, ::-1], crossings.fractions)
     return _smallest(flat, pairs, shares, margins)
 
 
@@ -81,10 +81,10 @@ def _smallest(
     gap = _GAP * margins.cable + _GAP_ERRORS * margins.tracking
     for span in _SPANS:
         plan = flat * (span * apart / mean)
-        found = _levels(plan, pairs, shares, gap)
-        if found is None:
+        levels = _levels(plan, pairs, shares, gap)
+        if levels is None:
             return None
-        heights, sags = found
+        heights, sags = levels
         placed = np.concatenate([plan, heights[:, None]], axis=1)
         lengths = segment_lengths(placed, sags)
         corners = _apart(placed, TeamGeometry(lengths, margins))
@@ -109,12 +109,12 @@ def _smallest(
 
 def _over_under(polygon: Floats) -> tuple[npt.NDArray[np.intp], Floats]:
     """Return the crossings (c, 2) of edges in plan view, over first, and their shares (c, 2)."""
-    found = plan_crossings(polygon)
-    shares = found.fractions
+    crossings = plan_crossings(polygon)
+    shares = crossings.fractions
     at, rise = polygon[:-1, 2], np.diff(polygon[:, 2])
-    heights = at[found.segments] + shares * rise[found.segments]
+    heights = at[crossings.segments] + shares * rise[crossings.segments]
     swap = heights[:, 0] < heights[:, 1]
-    pairs = np.where(swap[:, None], found.segments[:, ::-1], found.segments)
+    pairs = np.where(swap[:, None], crossings.segments[:, ::-1], crossings.segments)
     return pairs, np.where(swap[:, None], shares[:, ::-1], shares)
 
 
@@ -151,8 +151,8 @@ def _levels(
     )
     if not solved.success:
         return None
-    found: Floats = np.asarray(solved.x)
-    return found[:count], found[count : count + edges]
+    solution: Floats = np.asarray(solved.x)
+    return solution[:count], solution[count : count + edges]
 
 
 def _apart(placed: Floats, team: TeamGeometry) -> Floats | None:
@@ -166,8 +166,8 @@ def _apart(placed: Floats, team: TeamGeometry) -> Floats | None:
         total = float(penalty.missed[0] + _STAY * (moved**2).sum())
         return total, 2.0 * (penalty.gradient.ravel() + _STAY * moved)
 
-    found = scipy.optimize.minimize(
+    minimum = scipy.optimize.minimize(
         cost, start, jac=True, method="L-BFGS-B", options={"maxiter": _STEPS}
     )
-    positions: Floats = np.ascontiguousarray(found.x.reshape(-1, 3))
+    positions: Floats = np.ascontiguousarray(minimum.x.reshape(-1, 3))
     return positions if team.penalty(positions[None], signs).missed[0] <= KEPT else None

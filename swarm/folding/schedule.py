@@ -151,8 +151,8 @@ def improve(schedule: Schedule, flown: Flown | None = None) -> Schedule:
     Margins are those of the motion as it is ``flown``, where that is known.
     """
     for density in _DENSITIES:
-        found = relax(_elastic_band(schedule, density, flown), schedule.offsets)
-        schedule = replace(schedule, offsets=found.offsets, missed=found.missed)
+        relaxed = relax(_elastic_band(schedule, density, flown), schedule.offsets)
+        schedule = replace(schedule, offsets=relaxed.offsets, missed=relaxed.missed)
         if schedule.worst > BEYOND_REPAIR:
             break
     return schedule

@@ -26,10 +26,10 @@ _VEHICLE_UNIT, _VEHICLE_SPARE = 2.0, 0.2
 """Units of margin per required distance of two vehicles beyond it, and units at that distance."""
 
 
-def strand_costs(one: Outlines, other: Outlines, margins: Margins) -> Floats:
+def strand_costs(first: Outlines, second: Outlines, margins: Margins) -> Floats:
     """Return the cost (b,) of the distance of strands, pair by pair; they share no vehicle."""
-    spare = np.empty(len(one.points))
-    spare_margins(one, other, PenaltyModel(margins, sensitivity_tables()), spare)
+    spare = np.empty(len(first.points))
+    spare_margins(first, second, PenaltyModel(margins, sensitivity_tables()), spare)
     return margin_costs(spare / (margins.cable + 2.0 * margins.tracking))
 
 
@@ -46,9 +46,9 @@ margin_cost = compiled(margin_costs)
 
 
 @inner
-def vehicle_cost(one: Floats, other: Floats, margins: Margins) -> float:
+def vehicle_cost(first: Floats, second: Floats, margins: Margins) -> float:
     """Return the cost of the distance of two vehicles at positions (3,)."""
     error = 2.0 * margins.tracking
-    level = np.hypot(one[0] - other[0], one[1] - other[1]) / (margins.vehicle + error)
-    above = abs(one[2] - other[2]) / (margins.downwash + error)
+    level = np.hypot(first[0] - second[0], first[1] - second[1]) / (margins.vehicle + error)
+    above = abs(first[2] - second[2]) / (margins.downwash + error)
     return float(margin_cost(_VEHICLE_UNIT * (max(level, above) - 1.0) + _VEHICLE_SPARE))

@@ -81,18 +81,18 @@ def penalize_pair(
 ) -> float:
     """Return the square of the missed margin of two strands; add to the gradient (n, 3)."""
     i, j, margins = pair.first, pair.second, model.margins
-    one, other = points[i], points[j]
+    first, second = points[i], points[j]
     unit = margins.cable + 2.0 * margins.tracking
-    beyond = -pair.sign * crossing_height(one, other) if pair.sign else 0.0
+    beyond = -pair.sign * crossing_height(first, second) if pair.sign else 0.0
     if beyond > 0.0:
         # The wrong strand is over: loops come out of others upward and downward, not through them.
-        here, there = plan_crossing(one, other)
+        here, there = plan_crossing(first, second)
         distance, normal = -beyond, (0.0, 0.0, float(pair.sign))
     else:
-        distance, here, there = polyline_distance(one, other, pair.limit)
+        distance, here, there = polyline_distance(first, second, pair.limit)
         if distance >= pair.limit:
             return 0.0
-        normal = direction_between(one, here, other, there, distance)
+        normal = direction_between(first, here, second, there, distance)
         here, there = here / PIECES, there / PIECES
     here, there = arc_fraction(shapes[i], here), arc_fraction(shapes[j], there)
     moved = error_of_ends(BOTH_ENDS, margins.tracking)
@@ -101,24 +101,24 @@ def penalize_pair(
     short = PREFERRED - (distance - margins.cable - pair.extra - error) / unit
     if short <= 0.0:
         return 0.0
-    add_to_ends(gradient, i, one, shapes[i], here, times(-short / unit, normal))
-    add_to_ends(gradient, j, other, shapes[j], there, times(short / unit, normal))
+    add_to_ends(gradient, i, first, shapes[i], here, times(-short / unit, normal))
+    add_to_ends(gradient, j, second, shapes[j], there, times(short / unit, normal))
     return float(short * short)
 
 
 @compiled
-def spare_margins(one: OutlineRow, other: OutlineRow, model: PenaltyModel, found: Floats1) -> None:
+def spare_margins(own: OutlineRow, other: OutlineRow, model: PenaltyModel, spare: Floats1) -> None:
     """Write by how much strands (q,) keep more than their margin from others, pair by pair.
 
     They share no vehicle; metres, negative where the margin is missed.
     """
     moved = error_of_ends(BOTH_ENDS, model.margins.tracking)
-    for q in range(len(one.points)):
-        points, other_points = one.points[q], other.points[q]
+    for q in range(len(own.points)):
+        points, other_points = own.points[q], other.points[q]
         distance, here, there = polyline_distance(points, other_points, np.inf)
         upright = direction_between(points, here, other_points, there, distance)[2]
-        here = arc_fraction(one.shapes[q], here / PIECES)
+        here = arc_fraction(own.shapes[q], here / PIECES)
         there = arc_fraction(other.shapes[q], there / PIECES)
-        error = point_movement(one.shapes[q], here, upright, moved, model.tables)
+        error = point_movement(own.shapes[q], here, upright, moved, model.tables)
         error += point_movement(other.shapes[q], there, upright, moved, model.tables)
-        found[q] = distance - model.margins.cable - error
+        spare[q] = distance - model.margins.cable - error

@@ -230,10 +230,10 @@ def penalize_vehicles(
 
 
 @inner
-def missed_by_pair(one: Floats, other: Floats, margins: Margins) -> float:
+def missed_by_pair(first: Floats, second: Floats, margins: Margins) -> float:
     """Return what :func:`penalize_vehicles` and :func:`penalize_downwash` add for two vehicles."""
     beside, under = _required(margins, 0.0)
-    x, y, rise = one[0] - other[0], one[1] - other[1], abs(one[2] - other[2])
+    x, y, rise = first[0] - second[0], first[1] - second[1], abs(first[2] - second[2])
     level = np.sqrt(x * x + y * y)
     short, wash = max(_short_of(max(level / beside, rise / under)), 0.0), 0.0
     if 0.0 < rise < _FAR_BELOW:
@@ -311,8 +311,8 @@ def rotor_disc_cost(position: Floats, strand: Floats, wider: float, margins: Mar
 
 @compiled
 def rotor_disc_costs(
-    positions: Floats2, strands: Floats3, wider: Floats1, margins: Margins, found: Floats1
+    positions: Floats2, strands: Floats3, wider: Floats1, margins: Margins, costs: Floats1
 ) -> None:
     """Write :func:`rotor_disc_cost` for positions (k, 3), strands (k, p, 3) and ``wider`` (k,)."""
     for k in range(len(positions)):
-        found[k] = rotor_disc_cost(positions[k], strands[k], wider[k], margins)
+        costs[k] = rotor_disc_cost(positions[k], strands[k], wider[k], margins)

@@ -39,8 +39,8 @@ class WaypointPaths:
 
     def places(self, vehicle: int, progress: Floats) -> Floats:
         """Return the positions (…, 3) of :meth:`at` alone."""
-        found: Floats = self._splines[vehicle](np.clip(progress, 0.0, len(self.waypoints) - 1.0))
-        return found
+        points: Floats = self._splines[vehicle](np.clip(progress, 0.0, len(self.waypoints) - 1.0))
+        return points
 
     def line(self, count: int) -> Floats:
         """Return the path (count, 3) of the last vehicle, for pictures."""

@@ -117,5 +117,5 @@ def _errors(motion: Motion, times: Milliseconds, points: Floats) -> Floats:
     weights = np.hstack([(1 - s) ** 3, 3 * s * (1 - s) ** 2, 3 * s**2 * (1 - s), s**3])
     moments = (times[:-1, None] + np.diff(times)[:, None] * _SHARES) / 1000.0
     apart = np.einsum("sb,kbnx->ksnx", weights, points) - motion.at(moments)[0]
-    found: Floats = np.linalg.norm(apart, axis=-1).max(axis=(1, 2))
-    return found
+    errors: Floats = np.linalg.norm(apart, axis=-1).max(axis=(1, 2))
+    return errors

@@ -111,5 +111,5 @@ def _knot_problems(
     except InputError as error:
         key = next(key for key, value in described.items() if value is not None)
         place = place_of(source, ("knot", key), lines or {})
-        return [Problem(place, str(one)) for one in error.problems]
+        return [Problem(place, str(problem)) for problem in error.problems]
     return []

@@ -27,8 +27,8 @@ def identify(curve: npt.ArrayLike, *, closed: bool = False) -> str:
         points = np.asarray(curve, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError([Problem("curve", "expected an (n, 3) array of numbers")]) from None
-    found = identify_curve(points, closed=closed)
-    words = describe_knot(found.name, found.chirality)
-    if found.known or not found.candidates:
+    knot = identify_curve(points, closed=closed)
+    words = describe_knot(knot.name, knot.chirality)
+    if knot.known or not knot.candidates:
         return words
-    return f"{words}, perhaps {' or '.join(found.candidates)}"
+    return f"{words}, perhaps {' or '.join(knot.candidates)}"

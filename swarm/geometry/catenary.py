@@ -72,10 +72,10 @@ def solve_half_angle(stretch: float) -> float:
         x = stretch + np.log(2.0 * (stretch + np.log(2.0 * stretch + 4.0)))
     for _ in range(2):
         fading, inverse = np.exp(-2.0 * x), 1.0 / x
-        left = 1.0 / (1.0 - fading)
+        factor = 1.0 / (1.0 - fading)
         value = x + np.log((0.5 - 0.5 * fading) * inverse) - stretch
-        first = (1.0 + fading) * left - inverse
-        second = inverse * inverse - 4.0 * fading * left * left
+        first = (1.0 + fading) * factor - inverse
+        second = inverse * inverse - 4.0 * fading * factor * factor
         x = x - value * first / (first * first - 0.5 * value * second)
     return float(x)
 
@@ -145,14 +145,14 @@ def half_angle_for_sag(sag: Floats, gradient: Floats) -> Floats:
 
 def half_angle_for_drop(drop: Floats, fraction: Floats, gradient: Floats) -> Floats:
     """Invert :func:`drop_at` for x by bisection of its logarithm."""
-    found = np.empty(drop.size)
+    angles = np.empty(drop.size)
     fraction, gradient = (np.broadcast_to(each, drop.shape) for each in (fraction, gradient))
-    _bisect(drop.flatten(), fraction.flatten(), gradient.flatten(), found)
-    return found.reshape(drop.shape)
+    _bisect(drop.flatten(), fraction.flatten(), gradient.flatten(), angles)
+    return angles.reshape(drop.shape)
 
 
 @compiled
-def _bisect(drop: Floats1, fraction: Floats1, gradient: Floats1, found: Floats1) -> None:
+def _bisect(drop: Floats1, fraction: Floats1, gradient: Floats1, angles: Floats1) -> None:
     """Write half angles (k,) between 1e-11 and 400, in 60 halvings: to the last bits."""
     for k in range(len(drop)):
         low, high = -25.0, 6.0
@@ -162,7 +162,7 @@ def _bisect(drop: Floats1, fraction: Floats1, gradient: Floats1, found: Floats1)
                 low = middle
             else:
                 high = middle
-        found[k] = np.exp(0.5 * (low + high))
+        angles[k] = np.exp(0.5 * (low + high))
 
 
 @inner
@@ -406,10 +406,10 @@ def solve_on_floor(first: float, last: float, surplus: float) -> tuple[float, fl
     log_a, target = math.log(low + high), math.log(max(surplus, _SMALLEST_SURPLUS))
     for _ in range(_NEWTON_STEPS):
         a = math.exp(log_a)
-        one, one_rate = _branch_surplus(low, a)
-        other, other_rate = _branch_surplus(high, a)
-        total = one + other
-        step = (target - math.log(total)) * total / ((one_rate + other_rate) * a)
+        at_start, start_rate = _branch_surplus(low, a)
+        at_end, end_rate = _branch_surplus(high, a)
+        total = at_start + at_end
+        step = (target - math.log(total)) * total / ((start_rate + end_rate) * a)
         step = min(max(step, -2.0), 2.0)
         log_a += step
         if abs(step) <= _CONVERGED:
@@ -549,21 +549,21 @@ def _write_arsinh(offsets: Offsets, size: int) -> None:
     The logarithm of a number m·2ᵉ is e·log 2 + 2 artanh((m − 1) / (m + 1)), the latter by its
     series: with m between √½ and √2, eleven terms leave an error below rounding.
     """
-    found, _, slopes, roots, exponents = offsets
-    bits = found.view(np.int64)
+    angles, _, slopes, roots, exponents = offsets
+    bits = angles.view(np.int64)
     for i in range(size):
-        found[i] = abs(slopes[i]) + roots[i]
+        angles[i] = abs(slopes[i]) + roots[i]
     for i in range(size):
         above = bits[i] - _ROOT_HALF
         exponents[i] = float(above >> 52)
         bits[i] = (above & _DIGITS) + _ROOT_HALF
     for i in range(size):
-        part = (found[i] - 1.0) / (found[i] + 1.0)
+        part = (angles[i] - 1.0) / (angles[i] + 1.0)
         square = part * part
         series = 1.0 / 21.0
         for power in (19, 17, 15, 13, 11, 9, 7, 5, 3, 1):
             series = 1.0 / power + square * series
-        found[i] = np.copysign(exponents[i] * _LOG_2 + 2.0 * part * series, slopes[i])
+        angles[i] = np.copysign(exponents[i] * _LOG_2 + 2.0 * part * series, slopes[i])
 
 
 STANDARD_GRAVITY = 9.80665

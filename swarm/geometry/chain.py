@@ -180,18 +180,18 @@ def _needed_sags(corners: Floats, crossings: Pairs, sags: Floats, clearance: flo
 
 def _circle(over: Pairs, under: Pairs) -> list[int]:
     """Return the segments in circles of "passes over": the rest after all sinks are removed."""
-    left = set(over.tolist()) & set(under.tolist())
+    segments = set(over.tolist()) & set(under.tolist())
     pairs = list(zip(over.tolist(), under.tolist(), strict=True))
     while True:
         kept = {
             i
-            for i in left
-            if any(a == i and b in left for a, b in pairs)
-            and any(b == i and a in left for a, b in pairs)
+            for i in segments
+            if any(a == i and b in segments for a, b in pairs)
+            and any(b == i and a in segments for a, b in pairs)
         }
-        if kept == left:
-            return sorted(left)
-        left = kept
+        if kept == segments:
+            return sorted(segments)
+        segments = kept
 
 
 def _meet(corners: Floats, first: Pairs, second: Pairs) -> tuple[Floats, Floats, NDArray[np.bool_]]:

@@ -20,9 +20,9 @@ Vector = tuple[float, float, float]
 
 
 @inner
-def difference(one: Vector, other: Vector) -> Vector:
+def difference(first: Vector, second: Vector) -> Vector:
     """Return one vector less the other."""
-    return one[0] - other[0], one[1] - other[1], one[2] - other[2]
+    return first[0] - second[0], first[1] - second[1], first[2] - second[2]
 
 
 @inner
@@ -32,18 +32,18 @@ def size(vector: Vector) -> float:
 
 
 @inner
-def dot(one: Vector, other: Vector) -> float:
+def dot(first: Vector, second: Vector) -> float:
     """Return the product of two vectors; summed as by ``numpy.einsum``, to the last bit."""
-    return one[0] * other[0] + one[2] * other[2] + one[1] * other[1]
+    return first[0] * second[0] + first[2] * second[2] + first[1] * second[1]
 
 
 @inner
-def cross(one: Vector, other: Vector) -> Vector:
+def cross(first: Vector, second: Vector) -> Vector:
     """Return the vector product of two vectors."""
     return (
-        one[1] * other[2] - one[2] * other[1],
-        one[2] * other[0] - one[0] * other[2],
-        one[0] * other[1] - one[1] * other[0],
+        first[1] * second[2] - first[2] * second[1],
+        first[2] * second[0] - first[0] * second[2],
+        first[0] * second[1] - first[1] * second[0],
     )
 
 
@@ -123,9 +123,9 @@ def polyline_polyline(first: ArrayLike, second: ArrayLike) -> Closest:
     a = first.reshape(-1, *first.shape[-2:])
     b = second.reshape(-1, *second.shape[-2:])
     spheres = np.empty((2, max(runs_of(each.shape[1]) for each in (a, b)), 4))
-    found = np.empty((3, len(a)))
-    _write_closest(contiguous(a), contiguous(b), spheres, found)
-    distance, at_first, at_second = found.reshape(3, *shape)
+    gaps = np.empty((3, len(a)))
+    _write_closest(contiguous(a), contiguous(b), spheres, gaps)
+    distance, at_first, at_second = gaps.reshape(3, *shape)
     return Closest(distance, at_first, at_second)
 
 
@@ -136,14 +136,14 @@ def strand_strand(strands: ArrayLike, pairs: ArrayLike) -> Closest:
     """
     strands, pairs = np.asarray(strands, dtype=np.float64), np.asarray(pairs, dtype=np.intp)
     flat = strands.reshape(-1, *strands.shape[-3:])
-    found = np.empty((3, len(flat), len(pairs)))
-    _write_chosen(contiguous(flat), pairs.reshape(-1, 2), found)
-    distance, at_first, at_second = found.reshape(3, *strands.shape[:-3], len(pairs))
+    gaps = np.empty((3, len(flat), len(pairs)))
+    _write_chosen(contiguous(flat), pairs.reshape(-1, 2), gaps)
+    distance, at_first, at_second = gaps.reshape(3, *strands.shape[:-3], len(pairs))
     return Closest(distance, at_first, at_second)
 
 
 @compiled
-def _write_closest(first: Floats3, second: Floats3, spheres: Floats3, found: Floats2) -> None:
+def _write_closest(first: Floats3, second: Floats3, spheres: Floats3, gaps: Floats2) -> None:
     """Write distances and places (3, q) of polylines (q, m, 3) and (q, k, 3).
 
     ``spheres`` (2, runs, 4) is memory for both of a pair.
@@ -153,22 +153,22 @@ def _write_closest(first: Floats3, second: Floats3, spheres: Floats3, found: Flo
     for q in range(len(first)):
         if straight:
             square, s, t = segment_distance(first[q], 0, second[q], 0)
-            found[0, q] = np.sqrt(square)
-            found[1, q], found[2, q] = (s, t) if square >= 0.0 else (0.0, 0.0)
+            gaps[0, q] = np.sqrt(square)
+            gaps[1, q], gaps[2, q] = (s, t) if square >= 0.0 else (0.0, 0.0)
         elif short:
-            found[0, q], found[1, q], found[2, q] = polyline_distance(first[q], second[q], np.inf)
+            gaps[0, q], gaps[1, q], gaps[2, q] = polyline_distance(first[q], second[q], np.inf)
         else:
             distance, s, t = _distance_by_runs(first[q], second[q], spheres)
-            found[0, q], found[1, q], found[2, q] = distance, s, t
+            gaps[0, q], gaps[1, q], gaps[2, q] = distance, s, t
 
 
 @compiled
-def _write_chosen(strands: Floats4, pairs: Ints2, found: Floats3) -> None:
+def _write_chosen(strands: Floats4, pairs: Ints2, gaps: Floats3) -> None:
     """Write distances and places (3, q, p) of pairs (p, 2) among strands (q, s, k, 3)."""
     for q in range(len(strands)):
         for p in range(len(pairs)):
             pair = polyline_distance(strands[q, pairs[p, 0]], strands[q, pairs[p, 1]], np.inf)
-            found[0, q, p], found[1, q, p], found[2, q, p] = pair
+            gaps[0, q, p], gaps[1, q, p], gaps[2, q, p] = pair
 
 
 @inner
@@ -200,7 +200,7 @@ def _distance_by_runs(first: Floats, second: Floats, spheres: Floats) -> tuple[f
 
 
 @inner
-def _write_spheres(points: Floats, found: Floats) -> int:
+def _write_spheres(points: Floats, spheres: Floats) -> int:
     """Write middles and radii (q, 4) of spheres around runs of pieces of a polyline; return q.
 
     Infinite radii where a coordinate is NaN.
@@ -210,13 +210,13 @@ def _write_spheres(points: Floats, found: Floats) -> int:
         begin, end = q * _RUN, min((q + 1) * _RUN, len(points) - 1)
         largest = total = 0.0
         for axis in range(3):
-            found[q, axis] = 0.5 * (points[begin, axis] + points[end, axis])
+            spheres[q, axis] = 0.5 * (points[begin, axis] + points[end, axis])
         for k in range(begin, end + 1):
-            x, y = points[k, 0] - found[q, 0], points[k, 1] - found[q, 1]
-            z = points[k, 2] - found[q, 2]
+            x, y = points[k, 0] - spheres[q, 0], points[k, 1] - spheres[q, 1]
+            z = points[k, 2] - spheres[q, 2]
             square = x * x + y * y + z * z
             largest, total = max(largest, square), total + square
-        found[q, 3] = np.inf if np.isnan(total) else np.sqrt(largest)
+        spheres[q, 3] = np.inf if np.isnan(total) else np.sqrt(largest)
     return count
 
 
@@ -310,9 +310,9 @@ def _part(above: float, below: float) -> float:
 
 
 @inner
-def point_distance(one: Floats, other: Floats) -> float:
+def point_distance(first: Floats, second: Floats) -> float:
     """Return the distance of two points (3,)."""
-    x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
+    x, y, z = first[0] - second[0], first[1] - second[1], first[2] - second[2]
     return float(np.sqrt(x * x + y * y + z * z))
 
 
@@ -328,13 +328,13 @@ def bounding_boxes(points: Floats3, boxes: Floats3) -> None:
 
 
 @inner
-def boxes_closer(one: Floats, i: int, other: Floats, j: int, limit: float) -> bool:
+def boxes_closer(first: Floats, i: int, second: Floats, j: int, limit: float) -> bool:
     """Return whether the gap of box ``i`` and box ``j`` is below ``limit`` along every axis.
 
-    ``one`` and ``other`` are (q, 2, 3), as from :func:`bounding_boxes`.
+    ``first`` and ``second`` are (q, 2, 3), as from :func:`bounding_boxes`.
     """
     for axis in range(3):
-        gap = abs(one[i, 0, axis] - other[j, 0, axis]) - one[i, 1, axis] - other[j, 1, axis]
+        gap = abs(first[i, 0, axis] - second[j, 0, axis]) - first[i, 1, axis] - second[j, 1, axis]
         if gap >= limit:
             return False
     return True
@@ -345,7 +345,7 @@ _NO_AREA = 1e-12
 
 
 @inner
-def gauss_integral(one: Floats, other: Floats) -> float:
+def gauss_integral(first: Floats, second: Floats) -> float:
     """Return the Gauss integral of polylines (k, 3) and (m, 3), over 4π.
 
     It is the number of crossings of the two with their signs, averaged over all directions of view;
@@ -353,9 +353,9 @@ def gauss_integral(one: Floats, other: Floats) -> float:
     to 16.
     """
     total = 0.0
-    for i in range(len(one) - 1):
-        for j in range(len(other) - 1):
-            total += _edge_integral(one[i], one[i + 1], other[j], other[j + 1])
+    for i in range(len(first) - 1):
+        for j in range(len(second) - 1):
+            total += _edge_integral(first[i], first[i + 1], second[j], second[j + 1])
     return total / (4.0 * np.pi)
 
 

@@ -50,7 +50,7 @@ def hung_strands(starts: Floats, ends: Floats, lengths: Floats, links: int) -> F
     catenary. Raises :class:`.OverStretched` where a chord is longer than its
     strand.
     """
-    starts, ends = (np.ascontiguousarray(one, dtype=np.float64) for one in (starts, ends))
+    starts, ends = (np.ascontiguousarray(grips, dtype=np.float64) for grips in (starts, ends))
     joints = solve_catenaries(starts, ends, lengths).points(np.linspace(0.0, 1.0, links + 1))
     hung = np.empty(joints.shape[1:])
     for k, length in enumerate(lengths.tolist()):
@@ -148,10 +148,10 @@ def strays_of(joints: Floats, ends: Floats, segments: Ints, lengths: Floats) -> 
     whole = Held(
         segments, contiguous(np.asarray(lengths, dtype=np.float64)), np.arange(len(segments))
     )
-    found = np.empty(joints.shape)
+    strays = np.empty(joints.shape)
     every = np.arange(joints.shape[0] * joints.shape[1])
-    subtract_catenaries(contiguous(ends), whole, contiguous(joints), every, found)
-    return found
+    subtract_catenaries(contiguous(ends), whole, contiguous(joints), every, strays)
+    return strays
 
 
 class _Memory(NamedTuple):
@@ -165,9 +165,9 @@ class _Memory(NamedTuple):
 
 
 def subtract_catenaries(
-    ends: Floats, held: Held, joints: Floats, wanted: Ints, found: Floats
+    ends: Floats, held: Held, joints: Floats, wanted: Ints, strays: Floats
 ) -> None:
-    """Write the strays of joints (m, s, links + 1, 3) to rows of ``found`` (m, r, joints, 3).
+    """Write the strays of joints (m, s, links + 1, 3) to rows of ``strays`` (m, r, joints, 3).
 
     That has as many joints in each row, or a multiple of the links; strays are interpolated within
     links there. ``ends`` (m, n, 3) are the grip points. Only those of strands and moments whose
@@ -180,12 +180,12 @@ def subtract_catenaries(
         np.linspace(0.0, 1.0, count), Arcs(*np.empty((3, together))),
         Vectors(*np.empty((3, together, 3))), offsets, np.empty((count, 3)),
     )  # fmt: skip
-    _write_strays(ends, held, joints, wanted, memory, found)
+    _write_strays(ends, held, joints, wanted, memory, strays)
 
 
 @compiled
 def _write_strays(
-    ends: Floats3, held: Held, joints: Floats4, wanted: Ints1, memory: _Memory, found: Floats4
+    ends: Floats3, held: Held, joints: Floats4, wanted: Ints1, memory: _Memory, strays: Floats4
 ) -> None:
     """Write the strays, many strands together."""
     fractions, arcs, vectors, offsets, own = memory
@@ -199,7 +199,7 @@ def _write_strays(
             moment, strand = divmod(wanted[begin + q], count)
             here = slice(q * row + 1, (q + 1) * row)
             moved = offsets.angles[here], offsets.heights[here]
-            there = found[moment, held.rows[strand]]
+            there = strays[moment, held.rows[strand]]
             if len(there) == len(own):
                 _subtract(joints[moment, strand], vectors, q, moved, there)
             else:
@@ -224,31 +224,31 @@ def _solve(ends: Floats, held: Held, number: int, arcs: Arcs, vectors: Vectors, 
 
 @inner
 def _subtract(
-    joints: Floats, vectors: Vectors, q: int, offsets: tuple[Floats, Floats], found: Floats
+    joints: Floats, vectors: Vectors, q: int, offsets: tuple[Floats, Floats], strays: Floats
 ) -> None:
     """Write joints (k, 3) less the points of a strand with these angles and heights (k,)."""
     (start, by_angle, by_height), (angles, heights) = vectors_of(vectors, q), offsets
     for k in range(len(joints)):
         angle, height = angles[k], heights[k]
-        found[k, 0] = joints[k, 0] - (start[0] + (angle * by_angle[0] + height * by_height[0]))
-        found[k, 1] = joints[k, 1] - (start[1] + (angle * by_angle[1] + height * by_height[1]))
-        found[k, 2] = joints[k, 2] - (start[2] + (angle * by_angle[2] + height * by_height[2]))
+        strays[k, 0] = joints[k, 0] - (start[0] + (angle * by_angle[0] + height * by_height[0]))
+        strays[k, 1] = joints[k, 1] - (start[1] + (angle * by_angle[1] + height * by_height[1]))
+        strays[k, 2] = joints[k, 2] - (start[2] + (angle * by_angle[2] + height * by_height[2]))
 
 
 @inner
-def _spread(own: Floats, found: Floats) -> None:
+def _spread(own: Floats, places: Floats) -> None:
     """Write vectors (k, 3) to as many or more places, interpolated between them."""
     last = len(own) - 1
-    parts = (len(found) - 1) // last
+    parts = (len(places) - 1) // last
     for i in range(last + 1):
         for axis in range(3):
-            found[parts * i, axis] = own[i, axis]
+            places[parts * i, axis] = own[i, axis]
     for part in range(1, parts):
         share = part / parts
         for i in range(last):
             for axis in range(3):
                 step = own[i + 1, axis] - own[i, axis]
-                found[parts * i + part, axis] = own[i, axis] + share * step
+                places[parts * i + part, axis] = own[i, axis] + share * step
 
 
 Given = tuple[Floats, Floats, Ints]
@@ -311,9 +311,9 @@ class Runs(NamedTuple):
 @allocates
 def swing_each(
     given: tuple[Floats5, Floats4, Ints1], lengths: Floats1, steps: Steps, drag: Drag, runs: Runs,
-    found: Floats6,
+    states: Floats6,
 ) -> None:  # fmt: skip
-    """Write the states of s strands in c motions to ``found`` (c, …, 1 or 2, s, joints, 3), after
+    """Write the states of s strands in c motions to ``states`` (c, …, 1 or 2, s, joints, 3), after
     the first ones: those of ``runs``, of which those next to each other run together.
 
     ``given`` are the first states (c, 2, s, joints, 3), the positions (c, n, k, 3) of the grip
@@ -321,7 +321,7 @@ def swing_each(
     links. With 1, only the last part of each state is written, the joints at that time.
     """
     motion, strand = np.empty(TOGETHER, np.int64), np.empty(TOGETHER, np.int64)
-    rows, most = np.zeros((found.shape[4], _FIELDS, TOGETHER)), np.empty(TOGETHER)
+    rows, most = np.zeros((states.shape[4], _FIELDS, TOGETHER)), np.empty(TOGETHER)
     memory = rows, most, np.empty((2, 3, TOGETHER))
     for first in range(0, len(runs.motion), TOGETHER):
         samples = 0
@@ -330,13 +330,13 @@ def swing_each(
             motion[w], strand[w] = runs.motion[run], runs.strand[run]
             samples = max(samples, runs.samples[run])
         rows[:] = 0.0
-        _swing_together(given, lengths, steps, drag, (motion, strand), samples, memory, found)
+        _swing_together(given, lengths, steps, drag, (motion, strand), samples, memory, states)
 
 
 @inner
 def _swing_together(
     given: Given, lengths: Floats, steps: Steps, drag: Drag, chosen: Chosen, samples: int,
-    memory: Memory, found: Floats,
+    memory: Memory, states: Floats,
 ) -> None:  # fmt: skip
     """Write the states of the strands ``chosen`` by the numbers of their motions and their own.
 
@@ -346,7 +346,7 @@ def _swing_together(
     begun, ends, segments = given
     motion, strand = chosen
     rows, most, places = memory
-    last = found.shape[4] - 1
+    last = states.shape[4] - 1
     for w in range(TOGETHER):
         square = lengths[strand[w]] ** 2
         most[w] = _TOLERANCE * square
@@ -364,21 +364,21 @@ def _swing_together(
         _step_freely(rows, places, drag, steps.step)
         _restore_links(rows, most)
         if k % steps.every == 0:
-            _write_states(rows, chosen, k // steps.every, found)
+            _write_states(rows, chosen, k // steps.every, states)
 
 
 @inner
-def _write_states(rows: Floats, chosen: Chosen, sample: int, found: Floats) -> None:
+def _write_states(rows: Floats, chosen: Chosen, sample: int, states: Floats) -> None:
     """Write the states of strands to a sample, joint by joint as they are in memory."""
     if _other_sizes(rows):
         return
-    (motion, strand), last = chosen, found.shape[2] - 1
+    (motion, strand), last = chosen, states.shape[2] - 1
     for i in range(len(rows)):
         for w in range(TOGETHER):
             for x in range(3):
                 if last > 0:
-                    found[motion[w], sample, 0, strand[w], i, x] = rows[i, _NOW + x, w]
-                found[motion[w], sample, last, strand[w], i, x] = rows[i, _AFTER + x, w]
+                    states[motion[w], sample, 0, strand[w], i, x] = rows[i, _NOW + x, w]
+                states[motion[w], sample, last, strand[w], i, x] = rows[i, _AFTER + x, w]
 
 
 @inner
@@ -636,8 +636,8 @@ class Strands:
         at the state's time. Returns (ceil(k / every), 2, s, links + 1, 3), the given state first. A
         strand that is pulled taut ends as NaN.
         """
-        found: Floats = self._swing(state[None], ends[None], every, 2)[0]
-        return found
+        states: Floats = self._swing(state[None], ends[None], every, 2)[0]
+        return states
 
     def swing_on_each(
         self, states: Floats, ends: Floats, every: int = 1, samples: Ints | None = None
@@ -648,8 +648,8 @@ class Strands:
         Returns (c, ceil(k / every), s, links + 1, 3); with ``samples`` (c, s), only as many of each
         strand are written.
         """
-        found: Floats = self._swing(states, ends, every, 1, samples)[:, :, 0]
-        return found
+        joints: Floats = self._swing(states, ends, every, 1, samples)[:, :, 0]
+        return joints
 
     def strays(self, joints: Floats, ends: Floats) -> Floats:
         """Return the largest distances (k, s) of the strands from their catenaries, in metres.
@@ -669,8 +669,8 @@ class Strands:
         """Return the last ``parts`` of the states (c, ceil(k / every), …, s, links + 1, 3)."""
         model = self.model
         most = (ends.shape[1] + every - 1) // every
-        found = np.empty((len(states), most, parts, *states.shape[2:]))
-        found[:, 0] = states[:, 2 - parts :]
+        history = np.empty((len(states), most, parts, *states.shape[2:]))
+        history[:, 0] = states[:, 2 - parts :]
         drag = Drag(model.normal_drag, model.tangential_drag, *model.wind)
         # those of one grip point next to each other: others would fill the caches
         grips = np.ascontiguousarray(ends.swapaxes(1, 2))
@@ -682,5 +682,5 @@ class Strands:
         order = np.lexsort((samples[motion, strand], strand))
         motion, strand = motion[order], strand[order]
         runs = Runs(motion, strand, samples[motion, strand])
-        swing_each(given, self.lengths / model.links, Steps(model.step, every), drag, runs, found)
-        return found
+        swing_each(given, self.lengths / model.links, Steps(model.step, every), drag, runs, history)
+        return history

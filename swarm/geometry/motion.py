@@ -61,10 +61,10 @@ class Motion:
         moments, breaks, coefficients = self._for_kernels(times)
         count = coefficients.shape[2]
         rows = moments.reshape(-1, *(moments.shape[-1:] or (1,)))
-        found = np.empty((len(rows), count, rows.shape[1], 3))
+        tracks = np.empty((len(rows), count, rows.shape[1], 3))
         flat = coefficients.reshape(*coefficients.shape[:2], -1)
-        _evaluate_places(breaks, flat, rows, np.empty(flat.shape[2]), found)
-        places: Floats = found.swapaxes(1, 2).reshape(*moments.shape, count, 3)
+        _evaluate_places(breaks, flat, rows, np.empty(flat.shape[2]), tracks)
+        places: Floats = tracks.swapaxes(1, 2).reshape(*moments.shape, count, 3)
         return places
 
     def _for_kernels(self, times: npt.ArrayLike) -> tuple[Floats, Floats, Floats]:

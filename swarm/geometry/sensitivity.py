@@ -78,15 +78,15 @@ def kept(name: str, compute: Callable[[], Floats]) -> Floats:
     with suppress(InputError):
         digest, _, contents = read_bytes(path, _LARGEST_TABLE).partition(b"\n")
         if digest == hashlib.sha256(contents).hexdigest().encode():
-            found: Floats = np.load(io.BytesIO(contents), allow_pickle=False)
-            return found
-    found, written = compute(), io.BytesIO()
-    np.save(written, found)
+            table: Floats = np.load(io.BytesIO(contents), allow_pickle=False)
+            return table
+    table, written = compute(), io.BytesIO()
+    np.save(written, table)
     contents = written.getvalue()
     with suppress(InputError, OSError):  # where the cache is not writable
         path.parent.mkdir(parents=True, exist_ok=True)
         write_bytes(path, hashlib.sha256(contents).hexdigest().encode() + b"\n" + contents)
-    return found
+    return table
 
 
 class Nodes(NamedTuple):
@@ -147,25 +147,25 @@ def bounds_over_cells(nodes: Nodes, figure: Floats, parts: int) -> Floats:
         _remainder(figure, at, axis)
         for axis, at in enumerate((ratio, nodes.steepness, np.arange(float(points))))
     )
-    found = np.zeros((rows - 1, columns - 1, parts))
-    _write_parts(figure, by_ratio, by_steepness, by_point, nodes.fraction, found)
-    return found
+    bounds = np.zeros((rows - 1, columns - 1, parts))
+    _write_parts(figure, by_ratio, by_steepness, by_point, nodes.fraction, bounds)
+    return bounds
 
 
 def _remainder(figure: Floats, at: Floats, axis: int) -> Floats:
     """Return the remainder of interpolation in every step along an axis, with nodes ``at``."""
     count, shape = len(at), list(figure.shape)
     shape[axis] -= 1
-    found = np.empty(shape)
+    errors = np.empty(shape)
     inside = int(np.prod(shape[axis + 1 :]))
     _write_remainder(
-        figure.reshape(-1, count, inside), np.diff(at), found.reshape(-1, count - 1, inside)
+        figure.reshape(-1, count, inside), np.diff(at), errors.reshape(-1, count - 1, inside)
     )
-    return found
+    return errors
 
 
 @compiled
-def _write_remainder(figure: Floats3, width: Floats1, found: Floats3) -> None:
+def _write_remainder(figure: Floats3, width: Floats1, errors: Floats3) -> None:
     """Write the remainder in every step along the second axis, of steps with widths.
 
     The second derivative in a step is the larger of those at both of its nodes; the first and the
@@ -177,29 +177,29 @@ def _write_remainder(figure: Floats3, width: Floats1, found: Floats3) -> None:
             for k in range(figure.shape[2]):
                 after = (figure[i, j + 1, k] - figure[i, j, k]) / width[j]
                 before = (figure[i, j, k] - figure[i, j - 1, k]) / width[j - 1]
-                found[i, j, k] = abs(2.0 * (after - before) / (width[j - 1] + width[j]))
+                errors[i, j, k] = abs(2.0 * (after - before) / (width[j - 1] + width[j]))
         for k in range(figure.shape[2]):
-            found[i, 0, k] = found[i, 1, k]
-        # found[j] is the second derivative at node j, and then the remainder of the step after it.
+            errors[i, 0, k] = errors[i, 1, k]
+        # errors[j] is the second derivative at node j, and then the remainder of the step after it.
         for j in range(last + 1):
             factor = 2.0 * width[j] ** 2 / 8.0
             for k in range(figure.shape[2]):
-                found[i, j, k] = factor * max(found[i, j, k], found[i, min(j + 1, last), k])
+                errors[i, j, k] = factor * max(errors[i, j, k], errors[i, min(j + 1, last), k])
 
 
 @compiled
 def _write_parts(
     figure: Floats3, by_ratio: Floats3, by_steepness: Floats3, by_point: Floats3,
-    fraction: Floats3, found: Floats3,
+    fraction: Floats3, bounds: Floats3,
 ) -> None:  # fmt: skip
     """Write the largest bounds (r − 1, e − 1, parts) of the cells that reach into each part.
 
     The bound of a cell is the largest figure at its corners and, for each coordinate, the largest
     remainder at the four edges along it.
     """
-    parts = found.shape[2]
-    for i in range(found.shape[0]):
-        for j in range(found.shape[1]):
+    parts = bounds.shape[2]
+    for i in range(bounds.shape[0]):
+        for j in range(bounds.shape[1]):
             for k in range(figure.shape[2] - 1):
                 most = ratio = steepness = point = end = 0.0
                 begin = 1.0
@@ -219,7 +219,7 @@ def _write_parts(
                 first = min(int(begin * parts), parts - 1)
                 last = min(max(int(np.ceil(end * parts)) - 1, first), parts - 1)
                 for part in range(first, last + 1):
-                    found[i, j, part] = max(found[i, j, part], bound)
+                    bounds[i, j, part] = max(bounds[i, j, part], bound)
 
 
 Ints = npt.NDArray[np.intp]
@@ -305,21 +305,21 @@ class Sensitivity(NamedTuple):
             np.broadcast_to(each, shape).flatten() for each in (ratio, reach, sine)
         )
         moving, part = (np.broadcast_to(each, shape).astype(np.int64) for each in (ends, piece))
-        found = np.empty((2, len(ratio)))
-        _write_bounds(self, ratio, reach, sine, moving.flatten(), part.flatten(), found)
-        across, up = found.reshape(2, *shape)
+        norms = np.empty((2, len(ratio)))
+        _write_bounds(self, ratio, reach, sine, moving.flatten(), part.flatten(), norms)
+        across, up = norms.reshape(2, *shape)
         return across, up
 
 
 @compiled
 def _write_bounds(
     tables: Sensitivity, ratio: Floats1, reach: Floats1, sine: Floats1, ends: Ints1, piece: Ints1,
-    found: Floats2,
+    norms: Floats2,
 ) -> None:  # fmt: skip
-    """Write :meth:`Sensitivity.largest` of k strands, found (2, k)."""
+    """Write :meth:`Sensitivity.largest` of k strands, norms (2, k)."""
     for k in range(len(ratio)):
         steep, ratios = elevation_class(sine[k]), ratio_range(ratio[k], reach[k])
-        found[0, k], found[1, k] = movement_bound(tables, steep, ends[k], piece[k], ratios)
+        norms[0, k], norms[1, k] = movement_bound(tables, steep, ends[k], piece[k], ratios)
 
 
 class RatioRange(NamedTuple):
@@ -348,10 +348,10 @@ def elevation_class(sine: float) -> int:
 @inner
 def find_class(sine: float, sines: Floats) -> int:
     """Return the first of increasing classes that includes a sine, or their number."""
-    found = 0
-    while found < len(sines) and sines[found] < sine:
-        found += 1
-    return found
+    index = 0
+    while index < len(sines) and sines[index] < sine:
+        index += 1
+    return index
 
 
 @inner
@@ -424,10 +424,10 @@ def _mean(bounds: Floats, norm: int, ratios: RatioRange) -> float:
 @compiled
 def _bin(ratio: float) -> int:
     """Return the bin of a ratio, from 0 on."""
-    found: int = _FIRST_BINS[int(ratio * len(_FIRST_BINS))]
-    while found + 1 < len(_RATIOS) and _RATIOS[found + 1] <= ratio:
-        found += 1
-    return found
+    index: int = _FIRST_BINS[int(ratio * len(_FIRST_BINS))]
+    while index + 1 < len(_RATIOS) and _RATIOS[index + 1] <= ratio:
+        index += 1
+    return index
 
 
 @once
@@ -602,19 +602,19 @@ def linear_response(
     """
     up = -np.einsum("bi,bi->b", normal, strands.down)
     along = np.einsum("bi,bi->b", normal, strands.heading)
-    found = np.empty((3, len(up)))
+    responses = np.empty((3, len(up)))
     _responses(
         np.stack([strands.length, strands.parameter, strands.slope, strands.span, strands.rise]),
-        np.stack([along, up, fraction, *piece, stretch]), ends, curvature_table(), found,
+        np.stack([along, up, fraction, *piece, stretch]), ends, curvature_table(), responses,
     )  # fmt: skip
-    known = np.isfinite(found[0])
-    at_point, per_arc, curvature = np.where(known, found, 0.0)
+    known = np.isfinite(responses[0])
+    at_point, per_arc, curvature = np.where(known, responses, 0.0)
     return LinearResponse(at_point, per_arc, curvature, known)
 
 
 @compiled
 def _responses(
-    strands: Floats2, points: Floats2, ends: Ints1, table: Floats3, found: Floats2
+    strands: Floats2, points: Floats2, ends: Ints1, table: Floats3, responses: Floats2
 ) -> None:
     """Write :func:`linear_response` (3, b) of strands (5, b): at the point, per arc, and curvature.
 
@@ -632,9 +632,9 @@ def _responses(
         at_point, per_arc = first_order(strand, point, (begin, end), ends[k])
         bent = curvature(strand, (begin, end), moved, table)
         known = np.isfinite(at_point + bent)
-        found[0, k] = at_point if known else np.inf
-        found[1, k] = per_arc if known else np.inf
-        found[2, k] = bent if known else np.inf
+        responses[0, k] = at_point if known else np.inf
+        responses[1, k] = per_arc if known else np.inf
+        responses[2, k] = bent if known else np.inf
 
 
 class PointResponse(NamedTuple):
@@ -815,7 +815,7 @@ def _curvatures() -> Floats:
 
 
 @compiled
-def _write_second(nodes: Nodes, directions: Floats2, turns: Floats2, found: Floats3) -> None:
+def _write_second(nodes: Nodes, directions: Floats2, turns: Floats2, figure: Floats3) -> None:
     """Write |∂²x/∂p²(d, d)| times span at all nodes, the largest of unit directions d (k, 3).
 
     With the end force F = (H, V) over the weight of a metre, x(s) = ∫ τ(F + V s′) ds′ and
@@ -849,7 +849,7 @@ def _write_second(nodes: Nodes, directions: Floats2, turns: Floats2, found: Floa
                     z -= zx * turns[d, 3] + zz * turns[d, 4]
                     y -= share * turns[d, 5]
                     largest = max(largest, x * x + y * y + z * z)
-                found[i, j, k] = turned * math.sqrt(largest)
+                figure[i, j, k] = turned * math.sqrt(largest)
 
 
 @inner

@@ -95,20 +95,20 @@ def grown(solids: Floats, radius: float, height: float) -> Floats2:
 
     The cylinder stands on the point: its axis is from there to ``height`` above it.
     """
-    found = contiguous(np.array(solids))
-    level, up = np.hypot(found[:, 7], found[:, 8]), found[:, 9] * height
-    found[:, 6] += radius
-    found[:, 10] -= radius * level + np.maximum(up, 0.0)
-    found[:, 11] += radius * level - np.minimum(up, 0.0)
-    return found
+    copies = contiguous(np.array(solids))
+    level, up = np.hypot(copies[:, 7], copies[:, 8]), copies[:, 9] * height
+    copies[:, 6] += radius
+    copies[:, 10] -= radius * level + np.maximum(up, 0.0)
+    copies[:, 11] += radius * level - np.minimum(up, 0.0)
+    return copies
 
 
 def distances(solids: Floats, points: Floats) -> Floats:
     """Return the distances (…,) of points (…, 3) from solids (…, 12); negative inside."""
     shape = np.broadcast_shapes(solids.shape[:-1], points.shape[:-1])
-    found = np.empty(shape)
-    _write_distances(_table(solids, shape), _table(points, shape), found.reshape(-1))
-    return found
+    distance = np.empty(shape)
+    _write_distances(_table(solids, shape), _table(points, shape), distance.reshape(-1))
+    return distance
 
 
 def _table(values: Floats, shape: tuple[int, ...]) -> Floats2:
@@ -122,23 +122,23 @@ def planes_between(solids: Floats, chords: Floats) -> tuple[Floats, Floats]:
 
     The normals (b, 3) of the planes, and where they are along them (b,).
     """
-    found = np.empty((len(chords), 4))
-    _write_planes(contiguous(solids), contiguous(chords.reshape(-1, 6)), found)
-    return found[:, :3], found[:, 3]
+    planes = np.empty((len(chords), 4))
+    _write_planes(contiguous(solids), contiguous(chords.reshape(-1, 6)), planes)
+    return planes[:, :3], planes[:, 3]
 
 
 @compiled
-def _write_distances(solids: Floats2, points: Floats2, found: Floats1) -> None:
+def _write_distances(solids: Floats2, points: Floats2, distance: Floats1) -> None:
     for k in range(len(points)):
-        found[k] = plane_beside(solids[k], (points[k, 0], points[k, 1], points[k, 2]))[1]
+        distance[k] = plane_beside(solids[k], (points[k, 0], points[k, 1], points[k, 2]))[1]
 
 
 @compiled
-def _write_planes(solids: Floats2, ends: Floats2, found: Floats2) -> None:
+def _write_planes(solids: Floats2, ends: Floats2, plane: Floats2) -> None:
     for b in range(len(ends)):
         near, far = (ends[b, 0], ends[b, 1], ends[b, 2]), (ends[b, 3], ends[b, 4], ends[b, 5])
         _, normal, wall = plane_between(solids[b], near, far)
-        found[b, 0], found[b, 1], found[b, 2], found[b, 3] = normal[0], normal[1], normal[2], wall
+        plane[b, 0], plane[b, 1], plane[b, 2], plane[b, 3] = normal[0], normal[1], normal[2], wall
 
 
 @inner

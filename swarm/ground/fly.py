@@ -201,18 +201,18 @@ class Preflight:
         )
         duration = plan.flight_duration + loss.delay
         battery = 100.0 * duration / plan.mission.vehicles.endurance
-        found = [finding for vehicle in audits for finding in vehicle.findings(battery)]
+        remarks = [finding for vehicle in audits for finding in vehicle.findings(battery)]
         if gps:
             tracking = plan.mission.vehicles.tracking
-            found += [position_quality(f"system {v.system}", v, fleet, tracking) for v in flyers]
+            remarks += [position_quality(f"system {v.system}", v, fleet, tracking) for v in flyers]
         if self.poses is not None:
             now = self.conductor.now
             rows = pose_rows(flyers, self.poses.bodies(now), now, positions=True)
-            found += [row.finding() for row in rows]
+            remarks += [row.finding() for row in rows]
         wanted = wanted_fence(plan, flyers, fleet)
         if wanted is not None:
-            found += [vehicle.fence_finding(wanted) for vehicle in audits]
-        findings = (*audit.findings, *found, *loss_findings)
+            remarks += [vehicle.fence_finding(wanted) for vehicle in audits]
+        findings = (*audit.findings, *remarks, *loss_findings)
         return replace(audit, findings=findings, stream_loss=loss)
 
 
@@ -400,12 +400,12 @@ class TickTasks:
 
     def _count_down(self, since: float) -> Audit | None:
         """Count down after the go of a screen; return the audit to fly with at the end."""
-        left = math.ceil(COUNTDOWN - (self.conductor.now - since))
-        if left <= 0:
+        seconds = math.ceil(COUNTDOWN - (self.conductor.now - since))
+        if seconds <= 0:
             return self.preflight.audited
-        if left < self._counted:
-            self._counted = left
-            self.conductor.report("countdown", f"take-off in {left} s")
+        if seconds < self._counted:
+            self._counted = seconds
+            self.conductor.report("countdown", f"take-off in {seconds} s")
         return None
 
 

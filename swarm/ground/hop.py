@@ -68,9 +68,9 @@ def fly_hop(
         mocap=mocap,
     )
     result = fly(hop_flight, fleet, folder, options, callbacks)
-    measured, found = hovers(result.trace), hover_findings(result.trace, flight_plan)
+    measured, findings = hovers(result.trace), hover_findings(result.trace, flight_plan)
     if result.outcome.word != "done":
         text = f"the hop ended as {result.outcome.word}: {result.outcome.explanation}"
-        found = [Finding("error", "hop", text), *(found if measured else ())]
+        findings = [Finding("error", "hop", text), *(findings if measured else ())]
     needed = tracking_to_plan_with(measured, flight_plan.plan.vehicles)
-    return HopResult(tuple(found), measured, needed)
+    return HopResult(tuple(findings), measured, needed)

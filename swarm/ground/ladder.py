@@ -87,8 +87,8 @@ def _ties_knot(plan: Plan) -> bool:
 
 def carries_cable(flight_plan: FlightPlan, *, no_cable: bool) -> bool:
     """Return whether a flight would carry cable."""
-    bare = no_cable or isinstance(flight_plan, CableFreeFlight)
-    return not bare and len(flight_plan.plan.layout.lengths) > 0
+    cable_free = no_cable or isinstance(flight_plan, CableFreeFlight)
+    return not cable_free and len(flight_plan.plan.layout.lengths) > 0
 
 
 def passed_steps(fleet: Fleet) -> list[PassedStep]:

@@ -111,8 +111,8 @@ class Loop:
             self.lateness.append(self._now() - deadline)
             links.send(outgoing)
             if self.record is not None:
-                for one in outgoing:
-                    self.record.packet(one.data, now)
+                for packet in outgoing:
+                    self.record.packet(packet.data, now)
             self.each_tick(now)
             missed = max(0.0, self._now() - deadline) // interval
             deadline += (missed + 1.0) * interval

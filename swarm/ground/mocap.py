@@ -86,13 +86,13 @@ class DatagramCapture:
 
     def latest(self) -> Iterable[Pose]:
         """Return the newest poses; datagrams that are not frames are left out."""
-        found: dict[int, Pose] = {}
+        poses: dict[int, Pose] = {}
         while True:
             try:
                 data = self._socket.recv(_LARGEST_DATAGRAM)
             except (BlockingIOError, ConnectionError):
-                return found.values()
-            found |= {pose.system: pose for pose in parse_frame(data)}
+                return poses.values()
+            poses |= {pose.system: pose for pose in parse_frame(data)}
 
     def close(self) -> None:
         """Close the socket."""

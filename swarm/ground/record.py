@@ -264,7 +264,7 @@ def _plain(value: Any) -> Any:
 
 
 def _versions() -> dict[str, Any]:
-    found: dict[str, Any] = {
+    versions: dict[str, Any] = {
         "swarm": __version__,
         "python": platform.python_version(),
         "system": platform.platform(),
@@ -272,7 +272,7 @@ def _versions() -> dict[str, Any]:
     }
     for name in ("numpy", "pymavlink", "pymap3d", "scipy", "mavsdk"):
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
-            found[name] = None
-    return found
+            versions[name] = None
+    return versions

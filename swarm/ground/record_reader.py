@@ -200,14 +200,14 @@ def true_trace(record: Path, flown: Replayed) -> Trace:
 def _lines(path: Path) -> list[dict[str, Any]]:
     """Return the objects of the file; a last line that was cut off is left out."""
     lines = read_bytes(path, LARGEST_TRUTH).splitlines()
-    found = []
+    objects = []
     for number, line in enumerate(lines, start=1):
         try:
-            found.append(parse_json(line, str(path)))
+            objects.append(parse_json(line, str(path)))
         except InputError:
             if number < len(lines):
                 raise InputError([Problem(f"{path}:{number}", "expected ground truth")]) from None
-    return found
+    return objects
 
 
 def _clock(record: Path) -> tuple[float, float]:

@@ -66,11 +66,11 @@ class Observation:
 
 def parse_observation(sentence: str, time: datetime) -> Observation:
     """Return the observation in a sentence such as "3_1 right by camera" or "unknot by Ann"."""
-    found = _SENTENCE.fullmatch(sentence.strip())
-    if found is None:
+    match = _SENTENCE.fullmatch(sentence.strip())
+    if match is None:
         message = f'expected words such as "3_1 right by camera", got {sentence!r}'
         raise InputError([Problem("--observed", message)])
-    name = found["knot"].strip()
+    name = match["knot"].strip()
     if name.lower() in {"0_1", "unknot", "nothing"}:
         knot = "0_1"
     else:
@@ -79,7 +79,7 @@ def parse_observation(sentence: str, time: datetime) -> Observation:
         except InputError as error:
             raise InputError([Problem("--observed", str(error))]) from None
     seconds = time.astimezone(UTC).isoformat(timespec="seconds")
-    return Observation(knot, found["hand"] or "", found["observer"].strip(), seconds)
+    return Observation(knot, match["hand"] or "", match["observer"].strip(), seconds)
 
 
 def append_observation(record: Path, observation: Observation) -> None:

@@ -104,10 +104,10 @@ _URL = re.compile(r"udp://(?P<host>[^/:\s]+|\[[0-9a-fA-F:]+\]):(?P<port>\d{1,5})
 
 def parse_forward(url: str) -> tuple[str, int]:
     """Return host and port of udp://HOST:PORT; raises ValueError for another text."""
-    found = _URL.fullmatch(url)
-    if found is None or not 0 < int(found["port"]) < 65536:
+    match = _URL.fullmatch(url)
+    if match is None or not 0 < int(match["port"]) < 65536:
         raise ValueError(f"expected udp://HOST:PORT, got {url!r}")
-    return found["host"].strip("[]"), int(found["port"])
+    return match["host"].strip("[]"), int(match["port"])
 
 
 @dataclass

@@ -155,15 +155,15 @@ class Links:
     _selector: selectors.BaseSelector = field(default_factory=selectors.SelectSelector)
 
     def __post_init__(self) -> None:
-        for one in self.ports.values():
-            self._selector.register(one.fileno(), selectors.EVENT_READ, one)
+        for port in self.ports.values():
+            self._selector.register(port.fileno(), selectors.EVENT_READ, port)
 
     def port(self, name: str) -> int:
         """Return the local port of a UDP link."""
-        one = self.ports[name]
-        if not isinstance(one, Datagrams):
+        port = self.ports[name]
+        if not isinstance(port, Datagrams):
             raise VehicleError(f"link {name} has no UDP port")
-        return int(one.socket.getsockname()[1])
+        return int(port.socket.getsockname()[1])
 
     def wait(self, timeout: float) -> Iterator[Received]:
         """Wait at most ``timeout`` seconds for data, and yield all received data."""
@@ -178,18 +178,18 @@ class Links:
 
     def send(self, outgoing: Iterable[Outgoing]) -> None:
         """Send packets, each on its link."""
-        for one in outgoing:
-            self.ports[one.link].send(one)
+        for packet in outgoing:
+            self.ports[packet.link].send(packet)
 
     def dropped(self) -> dict[str, int]:
         """Return the number of dropped packets by link."""
-        return {name: one.dropped for name, one in self.ports.items()}
+        return {name: port.dropped for name, port in self.ports.items()}
 
     def close(self) -> None:
         """Close all links."""
         self._selector.close()
-        for one in self.ports.values():
-            one.close()
+        for port in self.ports.values():
+            port.close()
 
 
 def open_links(urls: Mapping[str, str]) -> Links:
@@ -202,8 +202,8 @@ def open_links(urls: Mapping[str, str]) -> Links:
         except (OSError, UnicodeError) as error:  # the latter for no name of a host
             problems.append(f"link {name} ({url}) cannot be opened: {reason(error)}")
     if problems:
-        for one in opened.values():
-            one.close()
+        for port in opened.values():
+            port.close()
         raise VehicleError("\n".join(problems))
     return Links(opened)
 
@@ -232,7 +232,7 @@ def _open(name: str, url: str) -> Port:
     if kind == "serial":
         return _serial(name, host, int(port))
     address = (host.strip("[]"), int(port))
-    family, _, _, _, found = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)[0]
+    family, _, _, _, resolved = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)[0]
     if kind == "tcp":
         stream = socket.create_connection(address, timeout=_CONNECT_TIMEOUT)
         stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -243,10 +243,10 @@ def _open(name: str, url: str) -> Port:
         datagrams.setblocking(False)
         datagrams.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
         if kind == "udpin":
-            datagrams.bind(found)
+            datagrams.bind(resolved)
             return Datagrams(name, datagrams)
         datagrams.bind(("", 0))
-        return Datagrams(name, datagrams, address=found)
+        return Datagrams(name, datagrams, address=resolved)
     except OSError:
         datagrams.close()
         raise

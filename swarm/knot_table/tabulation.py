@@ -56,11 +56,11 @@ class _Edges:
             top, bottom = self.new(), self.new()
             return Tangle((), (), (top, top, bottom, bottom))
         ends = (self.new(), self.new(), self.new(), self.new())
-        result = one = Tangle(((ends, number > 0),), (), ends)
+        result = crossing = Tangle(((ends, number > 0),), (), ends)
         for _ in range(abs(number) - 1):
             ends = (self.new(), self.new(), self.new(), self.new())
-            one = Tangle(((ends, number > 0),), (), ends)
-            result = tangle_sum(result, one)
+            crossing = Tangle(((ends, number > 0),), (), ends)
+            result = tangle_sum(result, crossing)
         return result
 
 
@@ -125,9 +125,9 @@ def _closed(tangles: Sequence[Tangle], joints: Sequence[tuple[int, int]]) -> Dia
             edge = parent[edge]
         return edge
 
-    for one, two in [*joints, *(pair for tangle in tangles for pair in tangle.glue)]:
-        if root(one) != root(two):
-            parent[root(one)] = root(two)
+    for first, second in [*joints, *(pair for tangle in tangles for pair in tangle.glue)]:
+        if root(first) != root(second):
+            parent[root(first)] = root(second)
     pd = []
     for (nw, ne, se, sw), rising in (item for tangle in tangles for item in tangle.crossings):
         # Counterclockwise from an end of the lower strand.
@@ -267,8 +267,8 @@ def _polyhedral(text: str, edges: _Edges) -> Diagram:
             tangle = reflect(tangle)
         tangles[vertex] = rotate(tangle) if vertex in shape.rotated else tangle
     joints = [
-        (tangles[one].ends[corner], tangles[two].ends[other])
-        for (one, corner), (two, other) in shape.joints
+        (tangles[first].ends[corner], tangles[second].ends[other])
+        for (first, corner), (second, other) in shape.joints
     ]
     return _closed([tangles[k] for k in sorted(tangles)], joints)
 

@@ -193,26 +193,26 @@ def _of_diagrams(
 
     A given grid diagram is kept, mirrored if necessary; otherwise it is the table's.
     """
-    found = [(diagram, identify_diagram(diagram)) for diagram in diagrams]
-    kinds = {known.name for _, known in found}
+    identified = [(diagram, identify_diagram(diagram)) for diagram in diagrams]
+    kinds = {known.name for _, known in identified}
     if len(kinds) > 1:
         raise KnotError(
             f"the code can mean any of {', '.join(sorted(kinds))}: give crossing signs or a name"
         )
-    known = found[0][1]
-    chiralities = {one.chirality for _, one in found}
+    known = identified[0][1]
+    chiralities = {identity.chirality for _, identity in identified}
     own = chiralities.pop() if len(chiralities) == 1 else None
     knot = known.name if known.known else "this knot"
     chirality = _resolve_chirality(own != "none", own, required, knot)
-    match = [diagram for diagram, one in found if one.chirality == chirality]
-    diagram = match[0] if match else found[0][0].mirrored()
+    match = [diagram for diagram, identity in identified if identity.chirality == chirality]
+    diagram = match[0] if match else identified[0][0].mirrored()
     if shape is not None and not match:
         shape = mirrored_grid(shape)
     choice = _best_known(known, chirality, diagram, shape)
     warnings = list(choice.warnings)
     if not match:
         warnings.append(f"the given knot is {own}-handed: its mirror image is tied, as required")
-    if not known.known and chirality == "none" and len(found) > 1:
+    if not known.known and chirality == "none" and len(identified) > 1:
         warnings.append(
             "its Jones polynomial is that of its mirror image: its chirality is undetermined"
         )

@@ -154,22 +154,22 @@ def overlapping_segments(corners: Points, *, closed: bool, margin: float) -> NDA
     meets = np.all(
         (block_low[:, None] <= block_high[None]) & (block_low[None] <= block_high[:, None]), axis=-1
     )
-    one, two = np.nonzero(np.triu(meets))
+    first_block, second_block = np.nonzero(np.triu(meets))
     offset = np.arange(block)
-    found = [np.zeros((0, 2), dtype=np.int64)]
+    pairs = [np.zeros((0, 2), dtype=np.int64)]
     step = max(1, _AT_ONCE // block**2)
-    for begin in range(0, len(one), step):
+    for begin in range(0, len(first_block), step):
         blocks = slice(begin, begin + step)
-        first = one[blocks, None, None] * block + offset[None, :, None]
-        second = two[blocks, None, None] * block + offset[None, None, :]
+        first = first_block[blocks, None, None] * block + offset[None, :, None]
+        second = second_block[blocks, None, None] * block + offset[None, None, :]
         first, second = (part.ravel() for part in np.broadcast_arrays(first, second))
         valid = (first + 1 < second) & (second < count)
         if closed:
             valid &= ~((first == 0) & (second == count - 1))
         first, second = first[valid], second[valid]
         overlap = np.all((low[first] <= high[second]) & (low[second] <= high[first]), axis=1)
-        found.append(np.stack([first[overlap], second[overlap]], axis=1))
-    return np.concatenate(found)
+        pairs.append(np.stack([first[overlap], second[overlap]], axis=1))
+    return np.concatenate(pairs)
 
 
 def _sides(a: Points, b: Points, c: Points) -> tuple[Points, NDArray[np.bool_]]:
@@ -287,16 +287,16 @@ def _distances(a: Points, b: Points, c: Points, d: Points) -> NDArray[np.float64
 
     After Ericson, Real-Time Collision Detection, 2005, 5.1.9.
     """
-    one, two, between = b - a, d - c, a - c
-    own, other, shared = _dot(one, one), _dot(two, two), _dot(one, two)
-    on_one, on_two = _dot(one, between), _dot(two, between)
+    first, second, between = b - a, d - c, a - c
+    own, other, shared = _dot(first, first), _dot(second, second), _dot(first, second)
+    on_first, on_second = _dot(first, between), _dot(second, between)
     area = own * other - shared**2
     with np.errstate(divide="ignore", invalid="ignore"):
-        s = np.where(area > 0.0, (shared * on_two - on_one * other) / area, 0.0)
+        s = np.where(area > 0.0, (shared * on_second - on_first * other) / area, 0.0)
     s = np.clip(s, 0.0, 1.0)  # where they are parallel, any s is valid
-    t = np.clip((shared * s + on_two) / other, 0.0, 1.0)
-    s = np.clip((shared * t - on_one) / own, 0.0, 1.0)
-    apart = between + s[:, None] * one - t[:, None] * two
+    t = np.clip((shared * s + on_second) / other, 0.0, 1.0)
+    s = np.clip((shared * t - on_first) / own, 0.0, 1.0)
+    apart = between + s[:, None] * first - t[:, None] * second
     return np.sqrt(_dot(apart, apart))
 
 

@@ -53,7 +53,7 @@ class Diagram:
     def alternating(self) -> bool:
         """Whether over and under passes alternate."""
         levels = [over for _, over, _ in self.code.passes]
-        return all(one != two for one, two in itertools.pairwise(levels))
+        return all(first != second for first, second in itertools.pairwise(levels))
 
     @cached_property
     def faces(self) -> tuple[tuple[int, ...], ...]:
@@ -181,7 +181,7 @@ def realisations(passes: Sequence[tuple[int, bool]]) -> tuple[Diagram, ...]:
             f"the Gauss code consists of {parts} parts, each of either chirality: "
             "give crossing signs"
         )
-    found = []
+    diagrams = []
     for flips in itertools.product((1, -1), repeat=parts):
         turn = turns * np.array(flips)[part]
         first_over = np.array([plain.passes[first][1] for first in ends[:, 0]])
@@ -191,8 +191,8 @@ def realisations(passes: Sequence[tuple[int, bool]]) -> tuple[Diagram, ...]:
         )
         if len(faces(code)) != len(ends) + 2:
             raise unrealisable
-        found.append(Diagram(code))
-    return tuple(sorted(found, key=lambda d: [-sign for _, _, sign in d.code.passes]))
+        diagrams.append(Diagram(code))
+    return tuple(sorted(diagrams, key=lambda d: [-sign for _, _, sign in d.code.passes]))
 
 
 def _turns(ends: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
@@ -319,16 +319,16 @@ def simplified(diagram: Diagram, *, kicks: int = 0) -> Diagram:
         )
     rng = Random(1)
     best = passes
-    left = kicks
+    remaining = kicks
     while passes:
         passes = _unturned(passes)
         shorter = _rerouted(passes, None)
         if shorter is None:
             if len(passes) < len(best):
-                best, left = passes, kicks
-            if not left:
+                best, remaining = passes, kicks
+            if not remaining:
                 break
-            left -= 1
+            remaining -= 1
             shorter = _rerouted(passes, rng)
             if shorter is None:
                 break
@@ -346,15 +346,15 @@ def without_nugatory(diagram: Diagram) -> Diagram:
 
 def _unturned(passes: list[Pass]) -> list[Pass]:
     """Return the passes without nugatory crossings; the part between is turned by 180°."""
-    found = True
-    while found:
-        found = False
+    changed = True
+    while changed:
+        changed = False
         partner = partners(passes)
         for here, there in enumerate(partner):
             if here < there and all(here < partner[k] < there for k in range(here + 1, there)):
                 inside = [(k, not over, sign) for k, over, sign in passes[here + 1 : there]]
                 passes = passes[:here] + inside + passes[there + 1 :]
-                found = True
+                changed = True
                 break
     return passes
 
@@ -390,8 +390,8 @@ def _reduced(passes: list[Pass]) -> list[Pass]:
         if partner[here] == there:
             drop(here)
         elif passes[here][1] == passes[there][1]:
-            one, two = partner[here], partner[there]
-            if after[one] == two or after[two] == one:
+            first, second = partner[here], partner[there]
+            if after[first] == second or after[second] == first:
                 drop(here)
                 drop(there)
     return [item for item, kept in zip(passes, alive, strict=True) if kept]

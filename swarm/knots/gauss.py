@@ -160,20 +160,20 @@ def parse_gauss(text: str) -> ParsedGauss:
         return _signed_tokens(tokens)
     trailing = any(token[-1] in "+-" for token in tokens)
     pattern = _PAPER if trailing else _INTEGER
-    found: list[tuple[int, bool]] = []
+    passes: list[tuple[int, bool]] = []
     for place, token in enumerate(tokens, 1):
         match = pattern.fullmatch(token)
         if match is None and trailing and _PAPER.sub("", token) == "":
-            found.extend((int(k), mark == "+") for k, mark in _PAPER.findall(token))
+            passes.extend((int(k), mark == "+") for k, mark in _PAPER.findall(token))
         elif match is None or not int(match[1 if trailing else 2]):
             expected = 'a crossing and a mark such as "3+"' if trailing else 'such as "-3"'
             raise KnotError(f'Gauss code, entry {place}: expected {expected}, got "{token}"')
         elif trailing:
-            found.append((int(match[1]), match[2] == "+"))
+            passes.append((int(match[1]), match[2] == "+"))
         else:
-            found.append((int(match[2]), match[1] != "-"))
-    check_labels(found)
-    return ParsedGauss(tuple(found), None)
+            passes.append((int(match[2]), match[1] != "-"))
+    check_labels(passes)
+    return ParsedGauss(tuple(passes), None)
 
 
 def _signed_tokens(tokens: Sequence[str]) -> ParsedGauss:

@@ -112,16 +112,16 @@ def _check(columns: tuple[tuple[int, int], ...]) -> None:
 
 def _walk(grid: Grid, column: int) -> tuple[Corner, ...]:
     """Return the corners from a column's low end, up its edge, back to the start."""
-    found: list[Corner] = []
+    corners: list[Corner] = []
     row = start = grid.columns[column - 1][0]
     first = column
     while True:
-        found.append((column, row))
+        corners.append((column, row))
         row = sum(grid.columns[column - 1]) - row
-        found.append((column, row))
+        corners.append((column, row))
         column = sum(grid.rows[row - 1]) - column
         if (column, row) == (first, start):
-            return tuple(found)
+            return tuple(corners)
 
 
 def _path_code(corners: tuple[Corner, ...], *, closed: bool) -> SignedGauss:
@@ -144,7 +144,7 @@ def _passes(corners: tuple[Corner, ...], *, closed: bool) -> list[tuple[int, int
         ends.pop()
     vertical = [k for k, (a, b) in enumerate(ends) if a[0] == b[0]]
     horizontal = [k for k, (a, b) in enumerate(ends) if a[1] == b[1]]
-    found = []
+    passes = []
     for v in vertical:
         (column, r0), (_, r1) = ends[v]
         for h in horizontal:
@@ -152,9 +152,9 @@ def _passes(corners: tuple[Corner, ...], *, closed: bool) -> list[tuple[int, int
             if min(r0, r1) < row < max(r0, r1) and min(c0, c1) < column < max(c0, c1):
                 # over × under = vertical × horizontal: up × right points down.
                 sign = -1 if (r1 > r0) == (c1 > c0) else 1
-                found.append((v, abs(row - r0), True, h, sign))
-                found.append((h, abs(column - c0), False, v, sign))
-    return found
+                passes.append((v, abs(row - r0), True, h, sign))
+                passes.append((h, abs(column - c0), False, v, sign))
+    return passes
 
 
 def grid_of_columns(columns: object) -> Grid:
@@ -194,8 +194,8 @@ def translated(grid: Grid, columns: int, rows: int) -> Grid:
     return Grid(tuple(_pair(*((row - 1 + rows) % size + 1 for row in pair)) for pair in shifted))
 
 
-def _pair(one: int, two: int) -> tuple[int, int]:
-    return (one, two) if one < two else (two, one)
+def _pair(first: int, second: int) -> tuple[int, int]:
+    return (first, second) if first < second else (second, first)
 
 
 def openings(grid: Grid, *, limit: int | None = None) -> tuple[OpenGrid, ...]:
@@ -207,9 +207,9 @@ def openings(grid: Grid, *, limit: int | None = None) -> tuple[OpenGrid, ...]:
     fixed order.
     """
     bases = (grid, transposed(grid))
-    found = np.concatenate([_free_corners(base, flip) for flip, base in enumerate(bases)])
+    corners = np.concatenate([_free_corners(base, flip) for flip, base in enumerate(bases)])
     result: dict[tuple[Corner, ...], OpenGrid] = {}
-    for _, _, right, up, column, row, flip in found[np.lexsort(found.T[::-1])].tolist():
+    for _, _, right, up, column, row, flip in corners[np.lexsort(corners.T[::-1])].tolist():
         if limit is not None and len(result) >= limit:
             break
         for opened in _opened(translated(bases[flip], right, up), (column, row)):
@@ -220,10 +220,10 @@ def openings(grid: Grid, *, limit: int | None = None) -> tuple[OpenGrid, ...]:
 @lru_cache(maxsize=16)  # the same grid is scored again where a search finds no other
 def best_opening(grid: Grid) -> tuple[int, int] | None:
     """Return crossings and total edge length of the best opening; None without an opening."""
-    found = _free_corners(grid, 0)
+    corners = _free_corners(grid, 0)
     return (
-        min((crossings, length) for crossings, length in found[:, :2].tolist())
-        if len(found)
+        min((crossings, length) for crossings, length in corners[:, :2].tolist())
+        if len(corners)
         else None
     )
 

@@ -172,11 +172,11 @@ class _Drawing:
         self._join(*upper)
         self._replace(at, 4, [], [])
 
-    def _join(self, one: int, two: int) -> None:
+    def _join(self, first: int, second: int) -> None:
         """Draw a cap: a horizontal edge that ends two columns."""
         self.row += 1
-        self.ends[one].append(self.row)
-        self.ends[two].append(self.row)
+        self.ends[first].append(self.row)
+        self.ends[second].append(self.row)
 
     def join_neighbours(self) -> None:
         """Draw caps for adjacent loose ends of the same edge."""
@@ -265,7 +265,7 @@ class GridWalk:
             for row in pair:
                 rows[row].append(column)
         self.size = len(columns)
-        self.sides = (columns, [(one, two) for one, two in rows])
+        self.sides = (columns, [(first, second) for first, second in rows])
 
     def state(self) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
         """Return the state for :meth:`restore`."""
@@ -285,30 +285,30 @@ class GridWalk:
         side, here = divmod(pick, self.size)
         lines, cross = self.sides[side], self.sides[1 - side]
         there = here + 1 if here + 1 < self.size else 0
-        one, two = lines[here], lines[there]
-        a, b = one
-        c, d = two
-        if a in two or b in two:
+        first, second = lines[here], lines[there]
+        a, b = first
+        c, d = second
+        if a in second or b in second:
             return False
         if ((a < c) == (c < b)) != ((a < d) == (d < b)):
             return False
-        lines[here], lines[there] = two, one
-        for line in one:
+        lines[here], lines[there] = second, first
+        for line in first:
             e, f = cross[line]
             cross[line] = (there, f) if e == here else (e, there)
-        for line in two:
+        for line in second:
             e, f = cross[line]
             cross[line] = (here, f) if e == there else (e, here)
         return True
 
     def shrink(self) -> bool:
         """Destabilise every edge of length 1; return whether there was one."""
-        found = False
+        shrunk = False
         while self.size > 2:
             last = self.size - 1
             for side in (0, 1):
-                for place, (one, two) in enumerate(self.sides[side]):
-                    step = one - two
+                for place, (first, second) in enumerate(self.sides[side]):
+                    step = first - second
                     if step in {1, -1, last, -last}:
                         self._merge(side, place)
                         break
@@ -316,14 +316,14 @@ class GridWalk:
                     continue
                 break
             else:
-                return found
-            found = True
-        return found
+                return shrunk
+            shrunk = True
+        return shrunk
 
     def _merge(self, side: int, place: int) -> None:
         lines = self.sides[side]
-        one, two = lines.pop(place)
-        kept, gone = (one, two) if one < two else (two, one)
+        first, second = lines.pop(place)
+        kept, gone = (first, second) if first < second else (second, first)
         # The higher of the two perpendicular lines is merged into the lower one.
         renamed = [tuple(kept if e == gone else e - (e > gone) for e in pair) for pair in lines]
         self._set_side(side, renamed)
@@ -408,8 +408,8 @@ def anneal(grid: Grid, *, steps: int, seed: int = 1) -> Grid:
 
 def _score(grid: Grid) -> float:
     """Return the crossings of the best opening plus its scaled length, which is less than 1."""
-    found = best_opening(grid)
-    if found is None:
+    opening = best_opening(grid)
+    if opening is None:
         return float(grid.size**2)
-    crossings, length = found
+    crossings, length = opening
     return crossings + length / (2 * grid.size**2)

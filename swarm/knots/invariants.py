@@ -207,18 +207,18 @@ def _bracket(pd: tuple[tuple[int, int, int, int], ...], bits: int) -> int:
 def _joined(state: _State, arcs: tuple[tuple[int, int], ...]) -> tuple[_State, int]:
     """Return the matching of loose ends after arcs were added, and the number of closed loops."""
     other: dict[int, int] = {}
-    for one, two in state:
-        other[one], other[two] = two, one
+    for tail, head in state:
+        other[tail], other[head] = head, tail
     loops = 0
-    for one, two in arcs:
-        if one == two or other.get(one) == two:
+    for tail, head in arcs:
+        if tail == head or other.get(tail) == head:
             loops += 1
-            other.pop(one, None)
-            other.pop(two, None)
+            other.pop(tail, None)
+            other.pop(head, None)
             continue
-        start, end = other.pop(one, one), other.pop(two, two)
+        start, end = other.pop(tail, tail), other.pop(head, head)
         other[start], other[end] = end, start
-    return tuple(sorted((one, two) for one, two in other.items() if one < two)), loops
+    return tuple(sorted((tail, head) for tail, head in other.items() if tail < head)), loops
 
 
 Matrices = NDArray[np.int64]
@@ -233,13 +233,13 @@ def matching_candidates(
     diagram: Diagram, candidates: Sequence[tuple[Factor, ...]]
 ) -> list[tuple[Factor, ...]]:
     """Return the candidates (sums of table knots) that the representations do not exclude."""
-    left = list(candidates)
+    remaining = list(candidates)
     for modulus, trace in REPRESENTATIONS:
-        if len(left) < 2:
+        if len(remaining) < 2:
             break
         own = longitude_counts(diagram, modulus, trace)
-        left = [one for one in left if _of_sum(one, modulus, trace) == own]
-    return left
+        remaining = [factors for factors in remaining if _of_sum(factors, modulus, trace) == own]
+    return remaining
 
 
 @lru_cache(maxsize=4096)
@@ -286,8 +286,8 @@ def longitude_counts(diagram: Diagram, modulus: int, trace: int) -> Signature:
     for _ in range(abs(diagram.writhe)):
         longitude = longitude @ unwind % modulus
     # a + bM = [[a, −b], [b, a + b·trace]]
-    found = Counter(zip(longitude[:, 0, 0].tolist(), longitude[:, 1, 0].tolist(), strict=True))
-    return tuple(sorted(found.items()))
+    counts = Counter(zip(longitude[:, 0, 0].tolist(), longitude[:, 1, 0].tolist(), strict=True))
+    return tuple(sorted(counts.items()))
 
 
 def _inverse(matrices: Matrices, modulus: int) -> Matrices:
@@ -465,18 +465,18 @@ def identify_diagram(diagram: Diagram) -> Identification:
     if invariants["jones"] is None:
         crossings = sum(part.crossings for part in parts)
         return Identification("unknown", "none", crossings, (), invariants)
-    found = [_candidates(part) for part in parts]
+    choices = [_candidates(part) for part in parts]
     sums = {
         canonical_factors(itertools.chain.from_iterable(choice))
-        for choice in itertools.product(*found)
+        for choice in itertools.product(*choices)
     }
-    listed = sorted(sums, key=lambda one: [(*table_order(name), -hand) for name, hand in one])
+    listed = sorted(sums, key=lambda knot: [(*table_order(name), -hand) for name, hand in knot])
     if all(part.crossings <= MAX_TABLE_CROSSINGS for part in parts) and len(listed) == 1:
         name, chirality = name_of_sum(listed[0])
         crossings = sum(prime_knot(name).crossings for name, _ in listed[0])
         return Identification(name, chirality, crossings, (_marked(listed[0]),), invariants)
     crossings = sum(part.crossings for part in parts)
-    candidates = tuple(_marked(one) for one in listed)
+    candidates = tuple(_marked(knot) for knot in listed)
     chirality = CHIRALITIES[chirality_sign(invariants["jones"])]
     return Identification("unknown", chirality, crossings, candidates, invariants)
 
@@ -500,15 +500,15 @@ def minimal_summands(diagram: Diagram) -> tuple[Diagram, ...]:
 def _smaller(part: Diagram) -> tuple[Diagram, ...]:
     """Return the summands of a part with more than ten crossings after a longer search."""
     best = summands(simplified(part, kicks=_KICKS))
-    most = max((one.crossings for one in best), default=0)
+    most = max((summand.crossings for summand in best), default=0)
     if most <= MAX_TABLE_CROSSINGS or most > MAX_SEARCHED_CROSSINGS or _is_minimal(best):
         return best
     grid = minimise_grid(grid_of_diagram(part), moves=_MOVES)
     for other in itertools.islice(random_grids(grid), _VIEWS):
         view = summands(simplified(Diagram(other.code)))
-        if sum(one.crossings for one in view) < sum(one.crossings for one in best):
+        if sum(summand.crossings for summand in view) < sum(summand.crossings for summand in best):
             best = view
-        if all(one.crossings <= MAX_TABLE_CROSSINGS for one in best) or _is_minimal(best):
+        if all(summand.crossings <= MAX_TABLE_CROSSINGS for summand in best) or _is_minimal(best):
             break
     return best
 
@@ -592,14 +592,14 @@ def _index() -> dict[tuple[Laurent, Laurent], list[Sum]]:
 
 def _composites(primes: list[Sum]) -> list[Sum]:
     """Return all sums of two or three knots with at most ten crossings in total."""
-    small = [one for one in primes if prime_knot(one[0][0]).crossings <= MAX_TABLE_CROSSINGS - 3]
-    found = {
+    small = [knot for knot in primes if prime_knot(knot[0][0]).crossings <= MAX_TABLE_CROSSINGS - 3]
+    sums = {
         canonical_factors(itertools.chain.from_iterable(choice))
         for count in (2, 3)
         for choice in itertools.combinations_with_replacement(small, count)
-        if sum(prime_knot(one[0][0]).crossings for one in choice) <= MAX_TABLE_CROSSINGS
+        if sum(prime_knot(knot[0][0]).crossings for knot in choice) <= MAX_TABLE_CROSSINGS
     }
-    return sorted(found)
+    return sorted(sums)
 
 
 def polynomials(factors: Sum) -> tuple[Laurent, Laurent]:
@@ -614,8 +614,8 @@ def polynomials(factors: Sum) -> tuple[Laurent, Laurent]:
     return _key(of_jones), _key(of_alexander)
 
 
-def _times(one: Polynomial, two: Polynomial) -> dict[int, int]:
+def _times(first: Polynomial, second: Polynomial) -> dict[int, int]:
     result: dict[int, int] = {}
-    for (p, a), (q, b) in itertools.product(one.items(), two.items()):
+    for (p, a), (q, b) in itertools.product(first.items(), second.items()):
         result[p + q] = result.get(p + q, 0) + a * b
     return {power: c for power, c in result.items() if c}

@@ -678,12 +678,12 @@ def _timesync(vehicle: Vehicle, message: Message, now: float) -> None:
         vehicle.round_trip = round_trip
 
 
-def _distance(one: Origin, other: Origin) -> float:
+def _distance(first: Origin, second: Origin) -> float:
     """Return the approximate distance in metres between two places that are close together."""
-    north = math.radians(one.latitude - other.latitude) * 6_371_000.0
-    east = math.radians(one.longitude - other.longitude) * 6_371_000.0
-    east *= math.cos(math.radians(one.latitude))
-    return math.hypot(north, east, one.altitude - other.altitude)
+    north = math.radians(first.latitude - second.latitude) * 6_371_000.0
+    east = math.radians(first.longitude - second.longitude) * 6_371_000.0
+    east *= math.cos(math.radians(first.latitude))
+    return math.hypot(north, east, first.altitude - second.altitude)
 
 
 def _parameter(vehicle: Vehicle, message: Message, now: float) -> None:

@@ -235,7 +235,7 @@ class Fleet(Section):
         wrong = [
             f"{name} = {url!r}"
             for name, url in links.items()
-            if not (found := _URL.fullmatch(url)) or int(found["port"] or 0) > 65535
+            if not (match := _URL.fullmatch(url)) or int(match["port"] or 0) > 65535
         ]
         if wrong:
             raise ValueError(

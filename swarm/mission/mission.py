@@ -51,11 +51,11 @@ def grid_columns(code: Any) -> Any:
 def gauss_text(code: Any) -> Any:
     """Return the text of a Gauss code that is a list, as ``GaussCode[-1, 2, -3, 1, -2, 3]`` is."""
     code = _unbraced(code)
-    if isinstance(code, str) and (found := re.fullmatch(r"\s*GaussCode\s*(\[.*\])\s*", code)):
-        code = _integers(found[1], code)
-    if not isinstance(code, list | tuple) or any(isinstance(one, list | bool) for one in code):
+    if isinstance(code, str) and (match := re.fullmatch(r"\s*GaussCode\s*(\[.*\])\s*", code)):
+        code = _integers(match[1], code)
+    if not isinstance(code, list | tuple) or any(isinstance(entry, list | bool) for entry in code):
         return code
-    return " ".join(str(one) for one in code)
+    return " ".join(str(entry) for entry in code)
 
 
 def _unbraced(code: Any) -> Any:
@@ -67,10 +67,10 @@ def _unbraced(code: Any) -> Any:
 
 def _integers(text: str, code: str) -> Any:
     """Return the integers of a text that has only integers, brackets, commas and spaces."""
-    bare = re.sub(r"[\[\](){},;\s]+", " ", text.replace("−", "-")).split()
-    if not bare or any(_INTEGER.fullmatch(each) is None for each in bare):
+    numbers = re.sub(r"[\[\](){},;\s]+", " ", text.replace("−", "-")).split()
+    if not numbers or any(_INTEGER.fullmatch(each) is None for each in numbers):
         return code
-    return tuple(int(each) for each in bare)
+    return tuple(int(each) for each in numbers)
 
 
 def _groups(text: str, size: int, code: str) -> Any:

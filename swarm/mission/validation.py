@@ -34,14 +34,14 @@ def key_lines(text: str, overrides: Iterable[str] = ()) -> dict[tuple[str, ...],
         root = YAML(typ="safe", pure=True).compose(text)
     except (YAMLError, ValueError):
         return {}
-    found: dict[tuple[str, ...], int] = {}
-    _collect(root, (), found)
+    lines: dict[tuple[str, ...], int] = {}
+    _collect(root, (), lines)
     for override in overrides:
         replaced = tuple(key.strip() for key in override.partition("=")[0].split("."))
-        found = {
-            keys: line for keys, line in found.items() if keys[: len(replaced)] != replaced
+        lines = {
+            keys: line for keys, line in lines.items() if keys[: len(replaced)] != replaced
         } | {replaced: 0}
-    return found
+    return lines
 
 
 def line_of(keys: Sequence[str], lines: Mapping[tuple[str, ...], int]) -> int | None:
@@ -56,17 +56,17 @@ def line_of(keys: Sequence[str], lines: Mapping[tuple[str, ...], int]) -> int | 
     return None
 
 
-def _collect(node: Node, path: tuple[str, ...], found: dict[tuple[str, ...], int]) -> None:
+def _collect(node: Node, path: tuple[str, ...], lines: dict[tuple[str, ...], int]) -> None:
     if isinstance(node, MappingNode):
         for key, value in node.value:
             inner = (*path, str(key.value))
-            found[inner] = key.start_mark.line + 1
-            _collect(value, inner, found)
+            lines[inner] = key.start_mark.line + 1
+            _collect(value, inner, lines)
     elif isinstance(node, SequenceNode):
         for place, value in enumerate(node.value):
             inner = (*path, str(place))
-            found[inner] = value.start_mark.line + 1
-            _collect(value, inner, found)
+            lines[inner] = value.start_mark.line + 1
+            _collect(value, inner, lines)
 
 
 _UNITS: Mapping[str, Mapping[str, float]] = {
@@ -99,13 +99,13 @@ def other_unit(value: float, unit: str, bounds: tuple[float, float], typical: An
     known = isinstance(typical, int | float) and typical > 0
     smaller = [share for share in _UNITS.get(unit, {}).values() if share < 1.0]
     values = [share * value for share in smaller if value > most]
-    values = [one for one in values if least <= one <= most]
+    values = [guess for guess in values if least <= guess <= most]
     if 0 < value < least and known and unit in _LARGER_UNITS:
         longer = _LARGER_UNITS[unit] * value
         values = [longer] if 1.0 / _ALIKE <= longer / typical <= _ALIKE else []
     if not values:
         return ""
-    likely = min(values, key=lambda one: abs(math.log(one / typical))) if known else values[0]
+    likely = min(values, key=lambda guess: abs(math.log(guess / typical))) if known else values[0]
     return f": did you mean {likely:.3g}?"
 
 
@@ -288,11 +288,11 @@ def _with_hints(problems: list[Problem]) -> list[Problem]:
     A value that may be a number or a word is reported as both, and only as a word with a hint.
     """
     hinted = {
-        (one.place, one.message.split(": did you mean")[0])
-        for one in problems
-        if ": did you mean" in one.message
+        (problem.place, problem.message.split(": did you mean")[0])
+        for problem in problems
+        if ": did you mean" in problem.message
     }
-    return [one for one in problems if (one.place, one.message) not in hinted]
+    return [problem for problem in problems if (problem.place, problem.message) not in hinted]
 
 
 def read_model(model: type[Model], text: str, source: str, overrides: Iterable[str] = ()) -> Model:

@@ -84,28 +84,28 @@ def plan(
     """
     with one_thread():
         optimised = mission.fold.method == "optimised"
-        found = candidates(mission, progress=progress)
-        result = (_optimised if optimised else _cleared_or_first)(found, progress)
+        proposals = candidates(mission, progress=progress)
+        result = (_optimised if optimised else _cleared_or_first)(proposals, progress)
         if robustness and result.certificate.cleared:
             certificate = certify_robustness(result.plan, result.certificate, progress)
             result = replace(result, certificate=certificate)
     return result
 
 
-def _optimised(found: Iterator[Candidate], progress: Progress | None) -> PlanningResult:
+def _optimised(proposals: Iterator[Candidate], progress: Progress | None) -> PlanningResult:
     """Return the plan with the shortest fold that one optimisation finds.
 
     It begins with candidates as they are, and where none of them leads to a cleared plan, with the
     plan that repairs clear, which stays as it is, with a note, where no shorter fold is as safe.
     """
     tried: list[Candidate] = []
-    for candidate in islice(found, _STARTS):
+    for candidate in islice(proposals, _STARTS):
         tried.append(candidate)
         start = replace(candidate.plan, notes=(*candidate.plan.notes, *candidate.notes))
         shortest = _shortest(start, None, progress) if candidate.folding else None
         if shortest is not None:
             return shortest
-    result = _cleared_or_first(chain(tried, found), progress)
+    result = _cleared_or_first(chain(tried, proposals), progress)
     if not result.certificate.cleared or not any(p.name == "fold" for p in result.plan.phases):
         return result
     note = "no shorter fold was cleared that is as safe in all that the certificate states"
@@ -134,10 +134,10 @@ def _shortest(
     shorten(start, accepted, progress or (lambda _stage, _share: None))
     if best is None or best is before:
         return None
-    first, found = (plan.phase("fold").duration for plan in (start, best.plan))
-    note = f"shortened the fold from {first:.1f} s to {found:.1f} s by one optimisation"
+    first, shortest = (plan.phase("fold").duration for plan in (start, best.plan))
+    note = f"shortened the fold from {first:.1f} s to {shortest:.1f} s by one optimisation"
     if before is None:
-        note = f"found a fold of {found:.1f} s by one optimisation, from one of {first:.1f} s"
+        note = f"found a fold of {shortest:.1f} s by one optimisation, from one of {first:.1f} s"
     return replace(best, plan=replace(best.plan, notes=(*best.plan.notes, note)))
 
 
@@ -215,7 +215,7 @@ def one_thread() -> AbstractContextManager[object]:
     return limits
 
 
-def _cleared_or_first(found: Iterable[Candidate], progress: Progress | None) -> PlanningResult:
+def _cleared_or_first(proposals: Iterable[Candidate], progress: Progress | None) -> PlanningResult:
     """Certify and repair candidates until one is cleared; otherwise return the first one checked.
 
     A plan that exceeds the endurance is not checked, because no repair shortens it; the shortest
@@ -230,7 +230,7 @@ def _cleared_or_first(found: Iterable[Candidate], progress: Progress | None) -> 
     others: list[Kept] = []
     unfinished: list[Unfinished] = []
     attempts, vehicles = 0, 0
-    for candidate in found:
+    for candidate in proposals:
         if candidate.plan.vehicles != vehicles:
             attempts, vehicles = 0, candidate.plan.vehicles
         most = _ATTEMPTS_SEARCHED if candidate.searched else _ATTEMPTS
@@ -269,7 +269,7 @@ def _with_fewer_repairs(others: Sequence[Kept], progress: Progress | None) -> li
     Repairs for a budget and for jets take time: those of 10_102 led to 599 s of flight, which the
     certificate counts as 601 of 600; its first plan takes 580 s.
     """
-    shortest = min(others, key=lambda one: one.paced.plan.flight_duration, default=None)
+    shortest = min(others, key=lambda kept: kept.paced.plan.flight_duration, default=None)
     return [_certified(shortest.paced, progress)] if shortest else []
 
 
@@ -278,8 +278,8 @@ def _repaired_further(
 ) -> list[PlanningResult]:
     """Repair the foldings that were left the least short by their repairs, until one is cleared."""
     certified: list[PlanningResult] = []
-    for left in sorted(unfinished, key=lambda one: one.short)[:_FURTHER]:
-        again = left.repaired()
+    for folding in sorted(unfinished, key=lambda last: last.short)[:_FURTHER]:
+        again = folding.repaired()
         if again is None or _cleared(certified):
             continue
         repairs = repair(again, notes, _ATTEMPTS)
@@ -294,12 +294,12 @@ def _closest(certified: Sequence[PlanningResult]) -> PlanningResult | None:
     cleared = _cleared(certified)
     if cleared:
         return min(cleared, key=_deepest_sinking)
-    short = [found for found in certified if _certifiable(found.assessment)]
-    return max(short, key=lambda found: least_remaining(found.assessment.budget), default=None)
+    short = [outcome for outcome in certified if _certifiable(outcome.assessment)]
+    return max(short, key=lambda outcome: least_remaining(outcome.assessment.budget), default=None)
 
 
 def _cleared(certified: Sequence[PlanningResult]) -> list[PlanningResult]:
-    return [found for found in certified if found.certificate.cleared]
+    return [outcome for outcome in certified if outcome.certificate.cleared]
 
 
 def _rejected(
@@ -314,30 +314,30 @@ def _rejected(
     return PlanningResult(plan, certify(plan, progress=progress))
 
 
-def _why_given_up(found: PlanningResult, *, searched: bool) -> tuple[str, ...]:
+def _why_given_up(outcome: PlanningResult, *, searched: bool) -> tuple[str, ...]:
     """Return notes on why the search goes on after a plan; none where it ends with it."""
-    if not found.certificate.cleared:
-        return _why_refused(found)
-    sinking = _deepest_sinking(found) if searched else 0.0
-    if _FLOWN_SINKING * sinking <= found.plan.mission.vehicles.tracking:
+    if not outcome.certificate.cleared:
+        return _why_refused(outcome)
+    sinking = _deepest_sinking(outcome) if searched else 0.0
+    if _FLOWN_SINKING * sinking <= outcome.plan.mission.vehicles.tracking:
         return ()
     return (f"given up: a vehicle sinks in the jet of another by {sinking:.2f} m",)
 
 
-def _deepest_sinking(found: PlanningResult) -> float:
-    deepest = deepest_sinking(found.plan)
+def _deepest_sinking(outcome: PlanningResult) -> float:
+    deepest = deepest_sinking(outcome.plan)
     return deepest.depth if deepest else 0.0
 
 
-def _why_refused(found: PlanningResult) -> tuple[str, ...]:
+def _why_refused(outcome: PlanningResult) -> tuple[str, ...]:
     """Return notes on the errors with which a certificate refused a folding."""
-    errors = [one for one in found.assessment.findings if one.severity == "error"]
-    return tuple(f"given up: {one.check}: {one.message}" for one in errors)
+    errors = [finding for finding in outcome.assessment.findings if finding.severity == "error"]
+    return tuple(f"given up: {finding.check}: {finding.message}" for finding in errors)
 
 
 def _certifiable(assessment: Assessment) -> bool:
     """Whether no finding is an error but for a short budget, which another repair may close."""
-    errors = {found.check for found in assessment.findings if found.severity == "error"}
+    errors = {finding.check for finding in assessment.findings if finding.severity == "error"}
     return errors <= {"budget"}
 
 
@@ -355,11 +355,11 @@ def _certified(paced: PacedPlan, progress: Progress | None) -> PlanningResult:
         timings.append(_measured(again, progress))
     refused: list[PlanningResult] = []
     for again in reversed(timings):
-        found = PlanningResult(again.plan, certify(again.plan, progress=progress))
-        if found.certificate.cleared:
-            return found
-        refused.append(found)
-    return next((found for found in refused if _certifiable(found.assessment)), refused[-1])
+        outcome = PlanningResult(again.plan, certify(again.plan, progress=progress))
+        if outcome.certificate.cleared:
+            return outcome
+        refused.append(outcome)
+    return next((outcome for outcome in refused if _certifiable(outcome.assessment)), refused[-1])
 
 
 def _measured(paced: PacedPlan, progress: Progress | None) -> PacedPlan:

@@ -26,23 +26,23 @@ took 29 mm to 25 mm; with 3, two of them took it to 0."""
 def aims(plan: Plan, budget: ShortBudgets | None, share: float = 1.0) -> list[Shortfall]:
     """Return the shortfalls for which margins grow, for a share of what repairs aim at."""
     short = as_shortfalls(budget.aims) if budget else []
-    led = [(one, 1.0) for one in short] + [(one, _ASIDE) for one in sinking(plan, _SINKING)]
-    return [replace(one, metres=aside * share * (one.metres + RESERVE)) for one, aside in led]
+    led = [(lack, 1.0) for lack in short] + [(lack, _ASIDE) for lack in sinking(plan, _SINKING)]
+    return [replace(lack, metres=aside * share * (lack.metres + RESERVE)) for lack, aside in led]
 
 
 def as_shortfalls(moments: Sequence[ShortBudget]) -> list[Shortfall]:
     """Return moments at which budgets are short as shortfalls of their checks."""
-    return [Shortfall(kind_of(one.check).margin, one.time, one.metres) for one in moments]
+    return [Shortfall(kind_of(lack.check).margin, lack.time, lack.metres) for lack in moments]
 
 
 def sinking(plan: Plan, share: float = 1.0) -> list[Shortfall]:
     """Return where vehicles sink in the jets of others by more than a share of their tracking
     radius."""
     allowed = share * plan.mission.vehicles.tracking
-    found = sinkings(plan, allowed) if allowed else []
-    return [Shortfall("jet", one.time, one.depth - allowed) for one in found]
+    moments = sinkings(plan, allowed) if allowed else []
+    return [Shortfall("jet", moment.time, moment.depth - allowed) for moment in moments]
 
 
 def total(shortfalls: Sequence[Shortfall]) -> float:
     """Return the sum, metres: the largest does not tell one short moment from a thousand."""
-    return sum(one.metres for one in shortfalls)
+    return sum(shortfall.metres for shortfall in shortfalls)

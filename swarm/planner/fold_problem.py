@@ -243,7 +243,7 @@ class Squares(NamedTuple):
     def products(self, after: int, first: slice, last: slice) -> Floats:
         """Return the matrix (2, 2, 3a, 3b) between ranges of control points of both vehicles, of
         the rows from a moment on."""
-        found = np.zeros((2, 2, 3 * (first.stop - first.start), 3 * (last.stop - last.start)))
+        matrix = np.zeros((2, 2, 3 * (first.stop - first.start), 3 * (last.stop - last.start)))
         left, right = (slice(3 * part.start, 3 * part.stop) for part in (first, last))
         for p, (sign, rows) in enumerate(zip(self.signs, self.rows, strict=True)):
             for q, (other, others) in enumerate(zip(self.signs, self.rows, strict=True)):
@@ -254,8 +254,8 @@ class Squares(NamedTuple):
                 product = each[:, left].T @ here[:, right]
                 for u, upper in enumerate((sign, 1.0)):
                     for v, lower in enumerate((other, 1.0)):
-                        found[u, v] += upper * lower * product
-        return found
+                        matrix[u, v] += upper * lower * product
+        return matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,11 +369,11 @@ class Problem:
 
     def by_pose(self, pose: Floats) -> Floats:
         """Return the derivative (k·3n, 4) of all control points by the pose of the line."""
-        found = np.zeros((len(self.along), 3, 4))
-        found[:, [0, 1, 2], [0, 1, 2]] = 1.0
-        found[:, 0, 3] = -self.along * math.sin(pose[3])
-        found[:, 1, 3] = self.along * math.cos(pose[3])
-        return (self.following[:, None, None] * found.reshape(-1, 4)).reshape(-1, 4)
+        derivative = np.zeros((len(self.along), 3, 4))
+        derivative[:, [0, 1, 2], [0, 1, 2]] = 1.0
+        derivative[:, 0, 3] = -self.along * math.sin(pose[3])
+        derivative[:, 1, 3] = self.along * math.cos(pose[3])
+        return (self.following[:, None, None] * derivative.reshape(-1, 4)).reshape(-1, 4)
 
     @cached_property
     def following(self) -> Floats:
@@ -387,10 +387,10 @@ class Problem:
 
     def control(self, fold: Fold) -> Floats:
         """Return all control points (k, n, 3)."""
-        found = self.following[:, None, None] * self.line(fold.pose)
-        found[-RESTING:] = self.folded
-        found[RESTING:-RESTING] += fold.free
-        return found
+        points = self.following[:, None, None] * self.line(fold.pose)
+        points[-RESTING:] = self.folded
+        points[RESTING:-RESTING] += fold.free
+        return points
 
     def states(self, fold: Fold, shares: Floats) -> tuple[Floats, Floats, Floats]:
         """Return position, velocity and acceleration (s, n, 3) at shares (s,) of the duration."""
@@ -438,7 +438,7 @@ class Problem:
         """Return the cost of a motion; add its derivatives to ``slopes``."""
         control = self.control(fold)
         place, velocity, acceleration = self._states(control, self.basis, fold.duration)
-        distances, found, missed = self._distances(
+        distances, record, missed = self._distances(
             control, place, velocity, fold.duration, frozen, slopes
         )
         motion = sum(
@@ -451,11 +451,11 @@ class Problem:
         swung, swings = self._swing(velocity, acceleration, fold.duration, frozen, slopes)
         sunk, sinking = self._sinking(place, fold.duration, frozen.soft, slopes)
         smooth = self._smoothness(control.reshape(self.count, -1), fold.duration, slopes)
-        ahead = self._before_fold(fold.pose, frozen, found, slopes)
+        ahead = self._before_fold(fold.pose, frozen, record, slopes)
         cost = float(distances + motion + swung + sunk + smooth + ahead)
         return Evaluation(
             cost=cost,
-            found=found,
+            found=record,
             missed_after_losses=missed,
             speed=float(np.linalg.norm(velocity, axis=2).max()),
             acceleration=float(np.linalg.norm(acceleration, axis=2).max()),
@@ -480,7 +480,7 @@ class Problem:
         return places, by_pose
 
     def _before_fold(
-        self, pose: Floats, frozen: Frozen, found: Found, slopes: Slopes | None
+        self, pose: Floats, frozen: Frozen, record: Found, slopes: Slopes | None
     ) -> float:
         """Return the cost of vehicles and walls before the fold, and note the largest missed need
         at its first moment; add the derivatives."""
@@ -489,7 +489,7 @@ class Problem:
         rows, every = np.zeros(r, dtype=np.intp), np.full(r, -1)
         poses = Poses(places[:, None], rows, every, RANGE, 1.0, frozen.soft * RELAXED)
         by = Derivatives(np.zeros((r, 3)), np.zeros((r, 3, 3)), np.empty((4, 3)))
-        cost = add_walls(poses, self.team, frozen.needs, found, by, slopes is not None)
+        cost = add_walls(poses, self.team, frozen.needs, record, by, slopes is not None)
         if slopes is not None:
             slopes.pose += np.einsum("rx,rxa->a", by.gradient, by_pose)
             slopes.by_pose += np.einsum("rxa,rxy,ryb->ab", by_pose, by.matrix, by_pose)
@@ -512,12 +512,12 @@ class Problem:
 
         tasks = ((moved, self.after, coasting.needs) for moved in lost if coasting is not None)
         total, shown = 0.0, []
-        for one in side_by_side(compared, chain([planned], tasks)):
-            total += one.cost
-            shown.append(one.found)
+        for comparison in side_by_side(compared, chain([planned], tasks)):
+            total += comparison.cost
+            shown.append(comparison.found)
             if slopes is not None:
-                _add_poses(slopes, one)
-        after = max((float(found.missed.max()) for found in shown[1:]), default=0.0)
+                _add_poses(slopes, comparison)
+        after = max((float(record.missed.max()) for record in shown[1:]), default=0.0)
         return total, shown[0], after
 
     def shown_by(self, places: Floats, needs: Needs) -> Found:
@@ -563,8 +563,8 @@ class Problem:
             def moved(now: slice) -> _Moved:
                 def each(lost: Any, team: Any) -> Any:
                     here = alone.reshape(*alone.shape, *(1,) * (lost.ndim - 2))
-                    found = np.where(here, lost[now, None], team[now, None])
-                    return found.reshape(-1, *found.shape[2:])
+                    values = np.where(here, lost[now, None], team[now, None])
+                    return values.reshape(-1, *values.shape[2:])
 
                 def moved_by() -> tuple[Splines, Floats]:
                     lost_shares = (
@@ -599,7 +599,7 @@ class Problem:
         """Return the cost of all clearances of poses, what they show, and the derivatives."""
         s, n, _ = moved.poses.places.shape
         m, rows = n - 1, len(needs.floor)
-        found = Found(
+        record = Found(
             np.zeros((rows, m, m)), np.zeros((rows, n, m)), np.zeros((rows, m)),
             np.zeros((rows, m)), np.zeros((rows, m, m)), np.zeros((rows, m)), np.zeros(rows),
         )  # fmt: skip
@@ -609,8 +609,8 @@ class Problem:
         )  # fmt: skip
         blocks = np.zeros((s if derive else 1, 3 * n, 3 * n))
         derivatives = Derivatives(np.zeros((s, 3 * n)), blocks, np.empty((4, 3)))
-        cost = add_clearances(moved.poses, team, needs, found, memory, derivatives, derive)
-        return _Compared(moved, cost, found, derivatives)
+        cost = add_clearances(moved.poses, team, needs, record, memory, derivatives, derive)
+        return _Compared(moved, cost, record, derivatives)
 
     def _bounded(
         self, order: int, state: Floats, limit: float, duration: float, soft: float,
@@ -842,10 +842,10 @@ def below(
         crossed = np.column_stack([steep * longer, scaled[:, None] * part.longer])
         all_rows.append(rows)
         twice += float((crossed[:, 1:] ** 2).sum())
-        for total, found in (
+        for total, product in (
             (gradient, slope @ toward), (mixed, crossed.reshape(-1) @ rows.reshape(-1, size))
         ):  # fmt: skip
-            by_ends = found.reshape(-1, 3)
+            by_ends = product.reshape(-1, 3)
             total += [part.sign * by_ends, by_ends]
     signs = tuple(part.sign for part in parts)
     by_duration = float(slope @ longer)

@@ -142,8 +142,8 @@ class Pacing:
         # pairs of first and last, of which every other result is of the values between them
         windows = np.column_stack([first, np.minimum(last, len(values))]).ravel()
         least = np.minimum.reduceat(np.append(values, most), windows)[::2]
-        found: Floats = np.where(first < len(values), np.minimum(least, most), most)
-        return found
+        lowest: Floats = np.where(first < len(values), np.minimum(least, most), most)
+        return lowest
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,8 +203,8 @@ def _slowed_in_part(paced: PacedPlan, before: Pacing, slowed: Pacing) -> PacedPl
     """Return the plan slowed by the largest share of a slowing that its endurance allows."""
     for share in _SHARES:
         swing = before.swing * (slowed.swing / before.swing) ** share
-        found = _limited_for_loss(paced.plan, replace(slowed, swing=swing))
-        partly = _timed(paced.plan, found)
+        pacing = _limited_for_loss(paced.plan, replace(slowed, swing=swing))
+        partly = _timed(paced.plan, pacing)
         if not exceeds_endurance(partly.plan):
             return partly
     return paced
@@ -291,5 +291,5 @@ def _fold(plan: Plan, pacing: Pacing) -> Motion:
 
 def _smooth(rate: Floats, around: int, deviation: float) -> Floats:
     least = scipy.ndimage.minimum_filter1d(rate, around, mode="nearest")
-    found: Floats = scipy.ndimage.gaussian_filter1d(least, deviation, mode="nearest")
-    return found
+    rates: Floats = scipy.ndimage.gaussian_filter1d(least, deviation, mode="nearest")
+    return rates

@@ -90,8 +90,8 @@ class Kept:
         """
         if self.short or self.closes:
             return self
-        found = complete_budgets(self.paced.plan)
-        return replace(self, budget=found, shares=_SHARES if found.moments else self.shares)
+        budget = complete_budgets(self.paced.plan)
+        return replace(self, budget=budget, shares=_SHARES if budget.moments else self.shares)
 
 
 @dataclass(frozen=True)
@@ -110,8 +110,8 @@ class Unfinished:
     def repaired(self) -> Candidate | None:
         """Return the next candidate of the folding, whose repairs are counted anew."""
         flown = _flown(self.candidate, self.paced)
-        found = _repaired(replace(self.candidate, attempt=0), self.shortfalls, flown)
-        return found and replace(found, notes=("repaired further",))
+        candidate = _repaired(replace(self.candidate, attempt=0), self.shortfalls, flown)
+        return candidate and replace(candidate, notes=("repaired further",))
 
 
 @dataclass(frozen=True)
@@ -185,8 +185,8 @@ def _repaired_at_once(
     budget = budgets_after_urgent_stops(paced.plan)
     others = aims(paced.plan, budget)
     flown = _flown(candidate, paced)
-    found = _repaired(candidate, [*short, *others], flown) if others else None
-    return found or _repaired(candidate, short, flown)
+    successor = _repaired(candidate, [*short, *others], flown) if others else None
+    return successor or _repaired(candidate, short, flown)
 
 
 def _flown(candidate: Candidate, paced: PacedPlan) -> Flown | None:
@@ -209,8 +209,8 @@ def _repaired(
 
     Where a motion misses too much as it is flown, its path may still be repaired: that of 6_1 was.
     """
-    found = repaired(candidate, shortfalls, flown) if flown else None
-    return found or repaired(candidate, shortfalls)
+    successor = repaired(candidate, shortfalls, flown) if flown else None
+    return successor or repaired(candidate, shortfalls)
 
 
 def _repaired_again(kept: Sequence[Kept]) -> tuple[Candidate | None, list[Kept]]:
@@ -221,13 +221,13 @@ def _repaired_again(kept: Sequence[Kept]) -> tuple[Candidate | None, list[Kept]]
     best plan is slowed for it, and then repaired for jets alone.
     """
     *before, last = kept
-    found = None
+    candidate = None
     if len(kept) <= _rounds(last) and not _idle(kept):
-        found, last = _led_apart(last)
-    if found is None and not last.short and not last.closes:
+        candidate, last = _led_apart(last)
+    if candidate is None and not last.short and not last.closes:
         return _repaired_again([*before, last.with_budget()])
-    slowed = _closed_by_slowing([*before, last]) if found is None and last.short else None
-    return _repaired_again([*before, last, slowed]) if slowed else (found, [*before, last])
+    slowed = _closed_by_slowing([*before, last]) if candidate is None and last.short else None
+    return _repaired_again([*before, last, slowed]) if slowed else (candidate, [*before, last])
 
 
 def _closed_by_slowing(kept: Sequence[Kept]) -> Kept | None:
@@ -235,12 +235,12 @@ def _closed_by_slowing(kept: Sequence[Kept]) -> Kept | None:
 
     None where that is not enough, or where no jets are left to repair.
     """
-    closed = [one for one in kept if one.budget is not None and not one.short]
+    closed = [plan for plan in kept if plan.budget is not None and not plan.short]
     best = kept[-1] if closed else least_short(kept)
     if not closed and not best.sinking:
         return None
-    paced, left = _slowed(best)
-    return None if left.moments else Kept(best.candidate, paced, left, sinking(paced.plan))
+    paced, budget = _slowed(best)
+    return None if budget.moments else Kept(best.candidate, paced, budget, sinking(paced.plan))
 
 
 def _rounds(kept: Kept) -> int:
@@ -252,7 +252,7 @@ def _rounds(kept: Kept) -> int:
 
 def _idle(kept: Sequence[Kept]) -> bool:
     """Whether the last repairs changed nothing."""
-    last = [one.shortfalls for one in kept[-1 - _IDLE_ROUNDS :]]
+    last = [plan.shortfalls for plan in kept[-1 - _IDLE_ROUNDS :]]
     return len(last) > _IDLE_ROUNDS and last.count(last[0]) == len(last)
 
 
@@ -296,12 +296,12 @@ def _shortfall(moment: Moment) -> Shortfall:
 
 def least_short(kept: Sequence[Kept]) -> Kept:
     """Return the plan whose budget is short by the least, and of these with the least sinking."""
-    found: list[Kept] = []
-    for one in sorted(kept, key=lambda one: total(one.sinking)):
-        found.append(one.with_budget())
-        if found[-1].closes:
-            return found[-1]
-    return min(found, key=lambda one: one.budget.total if one.budget else 0.0)
+    plans: list[Kept] = []
+    for plan in sorted(kept, key=lambda plan: total(plan.sinking)):
+        plans.append(plan.with_budget())
+        if plans[-1].closes:
+            return plans[-1]
+    return min(plans, key=lambda plan: plan.budget.total if plan.budget else 0.0)
 
 
 def _fold_time(plan: Plan) -> float:
@@ -333,7 +333,7 @@ def _slowed(kept: Kept) -> tuple[PacedPlan, ShortBudgets]:
     for _ in range(_SLOWED):
         if not budget.moments:
             break
-        short = [(one.time, one.metres, one.swing) for one in budget.moments]
+        short = [(moment.time, moment.metres, moment.swing) for moment in budget.moments]
         times, metres, swing = np.array(short).T
         excess = swing / np.maximum(swing - metres - RESERVE, swing / _MOST_EXCESS)
         paced = slowed_for_stops(best, times, excess)
@@ -341,10 +341,10 @@ def _slowed(kept: Kept) -> tuple[PacedPlan, ShortBudgets]:
             break
         if violations(paced.plan):
             break
-        left = short_budgets(paced.plan, complete=budget.complete)
-        if left.moments and not left.less_short_than(budget):
+        shortage = short_budgets(paced.plan, complete=budget.complete)
+        if shortage.moments and not shortage.less_short_than(budget):
             break
-        best, budget = paced, left
+        best, budget = paced, shortage
     return best, budget
 
 
@@ -357,9 +357,9 @@ def _led_apart(kept: Kept) -> tuple[Candidate | None, Kept]:
     flown = _flown(kept.candidate, kept.paced) if shares else None
     for number, share in enumerate(shares, start=1):
         wanted = aims(kept.paced.plan, kept.budget, share)
-        found = _repaired(kept.candidate, wanted, flown)
-        if found is not None:
-            return found, replace(kept, shares=kept.shares[number:])
+        candidate = _repaired(kept.candidate, wanted, flown)
+        if candidate is not None:
+            return candidate, replace(kept, shares=kept.shares[number:])
     return None, replace(kept, shares=())
 
 

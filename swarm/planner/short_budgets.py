@@ -30,7 +30,7 @@ class ShortBudgets:
     @property
     def total(self) -> float:
         """The sum, metres: the largest does not tell one short moment from a thousand."""
-        return sum(one.metres for one in self.moments)
+        return sum(moment.metres for moment in self.moments)
 
     def less_short_than(self, other: "ShortBudgets") -> bool:
         """Whether only the complete budget shows it, or less of it."""
@@ -40,8 +40,8 @@ class ShortBudgets:
 def short_budgets(plan: Plan, *, complete: bool) -> ShortBudgets:
     """Return where the budget is short after urgent stops, or where it is not, and all of it is
     asked for, where it is at all."""
-    found = budgets_after_urgent_stops(plan)
-    return found if found.moments or not complete else complete_budgets(plan)
+    budgets = budgets_after_urgent_stops(plan)
+    return budgets if budgets.moments or not complete else complete_budgets(plan)
 
 
 def checked_clearances(plan: Plan) -> tuple[Moment, ...]:

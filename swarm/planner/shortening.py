@@ -216,13 +216,13 @@ def shorten(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) ->
         if centred is None:
             break
         fold, frozen = centred
-        found = short.plan_with(fold)
-        if PlanChecks.of(found).spans.problems:
+        draft = short.plan_with(fold)
+        if PlanChecks.of(draft).spans.problems:
             break
-        missed = _missed_after_losses(short, found)
-        if accepted(found) and not missed.any():
+        missed = _missed_after_losses(short, draft)
+        if accepted(draft) and not missed.any():
             break
-        wanted, room = _wanted(short, found, frozen.needs, wanted), room + _MORE_AFTER_LOSS * missed
+        wanted, room = _wanted(short, draft, frozen.needs, wanted), room + _MORE_AFTER_LOSS * missed
         short = short.swinging_less(fold)
     progress("shortening the fold", 1.0)
 
@@ -362,8 +362,8 @@ def _needs(team: Team, room: Floats) -> Needs:
 def _kept_and_caps(problem: Problem) -> tuple[Floats, Floats]:
     """Return :attr:`Shortening.kept` and :attr:`Shortening.caps`."""
     places = np.broadcast_to(problem.folded, (1, *problem.folded.shape)).copy()
-    found = problem.shown_by(places, _needs(problem.team, np.ones(1)))
-    distance, need = found.distances[0], found.strands[0]
+    record = problem.shown_by(places, _needs(problem.team, np.ones(1)))
+    distance, need = record.distances[0], record.strands[0]
     kept = np.where(need > 0.0, np.maximum(distance - _KEPT_AT_REST, _LEAST_AT_REST), np.inf)
     return kept, np.where(need > kept, kept, np.inf)
 
@@ -430,20 +430,20 @@ def _with_needs(
     short: Shortening, frozen: Frozen, shown: Evaluation, wanted: Wanted, share: float
 ) -> Frozen:
     """Return needs and modes as a motion shows them, by a ``share`` of their changes."""
-    found, needs = shown.found, frozen.needs
+    record, needs = shown.found, frozen.needs
 
     def towards(old: Floats, new: Floats) -> Floats:
         return np.where(new > 0.0, old + share * (new - old), old)
 
-    strands = np.minimum(np.maximum(found.strands, wanted.strands), short.caps)
-    bodies = np.where(found.bodies > 0.0, np.maximum(found.bodies, wanted.bodies), 0.0)
+    strands = np.minimum(np.maximum(record.strands, wanted.strands), short.caps)
+    bodies = np.where(record.bodies > 0.0, np.maximum(record.bodies, wanted.bodies), 0.0)
     needs = needs._replace(
-        strands=towards(needs.strands, np.where(found.strands > 0.0, strands, 0.0)),
+        strands=towards(needs.strands, np.where(record.strands > 0.0, strands, 0.0)),
         bodies=towards(needs.bodies, bodies),
-        floor=towards(needs.floor, found.floor),
-        beside=towards(needs.beside, found.beside),
+        floor=towards(needs.floor, record.floor),
+        beside=towards(needs.beside, record.beside),
     )
-    squares, damping = modes(found.sags)
+    squares, damping = modes(record.sags)
     return replace(frozen, needs=needs, squares=squares, damping=damping)
 
 
@@ -511,16 +511,16 @@ def _wanted(short: Shortening, plan: Plan, needs: Needs, before: Wanted) -> Want
 def _needed_for_budget(plan: Plan, at: Floats) -> Floats:
     """Return the distances (s, m, m) between the middles of strands at which budgets close."""
     m, tube = plan.vehicles - 1, PlanChecks.of(plan).tube
-    found = np.zeros((len(at), m, m))
+    distances = np.zeros((len(at), m, m))
     if tube is None or plan.mission.limits.accept_negative_budget:
-        return found
+        return distances
     pairs, times = tube.pairs.close.pairs, tube.pairs.close.times
     needed = needed_distances(plan, tube.pairs) + plan.mission.cable.diameter + _ROOM
     for i, j in dict.fromkeys(map(tuple, pairs.tolist())):
         rows = np.flatnonzero((pairs == (i, j)).all(axis=1))
         near = np.abs(at[:, None] - times[rows]) <= _AROUND
-        found[:, i, j] = np.where(near, needed[rows], 0.0).max(axis=1)
-    return found
+        distances[:, i, j] = np.where(near, needed[rows], 0.0).max(axis=1)
+    return distances
 
 
 def _missed_after_losses(short: Shortening, plan: Plan) -> npt.NDArray[np.bool_]:
@@ -530,8 +530,8 @@ def _missed_after_losses(short: Shortening, plan: Plan) -> npt.NDArray[np.bool_]
     edges = np.append(fold.start + fold.duration * shares[:-1], fold.end)
     bound = StreamLossBound(plan, overrun, fold.end)
     missed = ~bound.holds(edges[:-1], edges[1:], np.ones(len(edges) - 1))
-    found: npt.NDArray[np.bool_] = np.append(missed, False) | np.append(False, missed)
-    return found
+    at_edges: npt.NDArray[np.bool_] = np.append(missed, False) | np.append(False, missed)
+    return at_edges
 
 
 @dataclass(frozen=True, eq=False)
@@ -620,8 +620,8 @@ class Quadratic:
         )
 
         def solved(sides: Floats) -> Floats:
-            found: Floats = scipy.linalg.cho_solve_banded((factor, True), sides, check_finite=False)
-            return found
+            x: Floats = scipy.linalg.cho_solve_banded((factor, True), sides, check_finite=False)
+            return x
 
         by_border = solved(self.border)
         # What remains of the first five unknowns when the others are solved for; with memory only
@@ -645,8 +645,8 @@ class Quadratic:
             scipy.sparse.linalg.LinearOperator(size, times), -self.gradient, rtol=_SOLVED,
             maxiter=_ITERATIONS, M=scipy.sparse.linalg.LinearOperator(size, preconditioned),
         )  # fmt: skip
-        found: Floats = step
-        return found
+        x: Floats = step
+        return x
 
     def _times(self, inner: Floats) -> Floats:
         """Return the matrix of the control points (u, u) times a vector (u,)."""
@@ -657,13 +657,13 @@ class Quadratic:
 
 def matrix_times(slopes: Slopes, vectors: Floats) -> Floats:
     """Return the Gauss-Newton matrix of all control points times vectors (v, k, 3n)."""
-    found = np.empty(vectors.shape)
+    products = np.empty(vectors.shape)
     count = len(vectors)
-    band_times(slopes.band, vectors.reshape(count, -1), found.reshape(count, -1))
+    band_times(slopes.band, vectors.reshape(count, -1), products.reshape(count, -1))
     for part in slopes.remembered:
-        for vector, product in zip(vectors, found, strict=True):
+        for vector, product in zip(vectors, products, strict=True):
             part.times(vector, product)
-    return found
+    return products
 
 
 def _by_unknowns(problem: Problem, fold: Fold, slopes: Slopes, weight: float) -> Quadratic:

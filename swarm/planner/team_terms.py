@@ -305,8 +305,8 @@ def _size(vector: Vector) -> float:
 
 
 @inner
-def _less(one: Vector, other: Vector) -> Vector:
-    return one[0] - other[0], one[1] - other[1], one[2] - other[2]
+def _less(first: Vector, second: Vector) -> Vector:
+    return first[0] - second[0], first[1] - second[1], first[2] - second[2]
 
 
 @inner
@@ -351,7 +351,7 @@ def _begin_pose(s: int, places: Floats, team: Team, memory: Memory) -> None:
 
 @inner
 def _require_strand(
-    i: int, at: _At, place: Floats, team: Team, found: Found, memory: Memory
+    i: int, at: _At, place: Floats, team: Team, record: Found, memory: Memory
 ) -> None:
     """Write a strand's points, responses, box and sag, if they are not those of the pose."""
     if memory.written[i] == 0:
@@ -360,7 +360,7 @@ def _require_strand(
         )
         _write_box(memory.points[i], memory.boxes[i])
         memory.written[i] = 1
-    found.sags[at.row, i] = memory.sags[i]
+    record.sags[at.row, i] = memory.sags[i]
 
 
 @inner
@@ -374,7 +374,7 @@ def _gap(boxes: Floats, i: int, j: int) -> float:
 
 @compiled
 def add_clearances(
-    poses: Poses, team: Team, needs: Needs, found: Found, memory: Memory,
+    poses: Poses, team: Team, needs: Needs, record: Found, memory: Memory,
     derivatives: Derivatives, derive: bool,
 ) -> float:  # fmt: skip
     """Return the cost of all clearances of poses, and write what each row of needs shows.
@@ -384,14 +384,14 @@ def add_clearances(
     cost = 0.0
     for s in range(len(poses.places)):
         if poses.vehicles[s] < 0:
-            found.missed[poses.rows[s]] = 0.0
-        cost += _moment(s, poses, team, needs, found, memory, derivatives, derive)
+            record.missed[poses.rows[s]] = 0.0
+        cost += _moment(s, poses, team, needs, record, memory, derivatives, derive)
     return poses.weight * cost
 
 
 @inner
 def _moment(
-    s: int, poses: Poses, team: Team, needs: Needs, found: Found, memory: Memory,
+    s: int, poses: Poses, team: Team, needs: Needs, record: Found, memory: Memory,
     derivatives: Derivatives, derive: bool,
 ) -> float:  # fmt: skip
     place, strands, only = poses.places[s], len(team.lengths), poses.vehicles[s]
@@ -400,49 +400,49 @@ def _moment(
     cost = 0.0  # calls pass all arrays by value, so that there is none for what is far apart
     for i in range(strands):
         if only < 0 or only in (i, i + 1):
-            cost += _strand_alone(at, i, place, team, needs, found, memory, derivatives)
-            cost += _beside_walls(at, i, place, team, needs, found, memory, derivatives)
+            cost += _strand_alone(at, i, place, team, needs, record, memory, derivatives)
+            cost += _beside_walls(at, i, place, team, needs, record, memory, derivatives)
         for j in range(i + 1, strands):
             if only < 0 or only in (i, i + 1, j, j + 1):
-                found.strands[at.row, i, j], found.distances[at.row, i, j] = 0.0, 9.0
+                record.strands[at.row, i, j], record.distances[at.row, i, j] = 0.0, 9.0
                 if _gap(memory.boxes, i, j) <= needs.strands[at.row, i, j] + at.range:
-                    cost += _strands(at, i, j, place, team, needs, found, memory, derivatives)
+                    cost += _strands(at, i, j, place, team, needs, record, memory, derivatives)
     for i in range(strands + 1):
         if only < 0 or only == i:
-            cost += _within_walls(at, i, place, team, needs, found, derivatives)
+            cost += _within_walls(at, i, place, team, needs, record, derivatives)
         for j in range(i + 1, strands + 1):
             if only < 0 or only in (i, j):
-                cost += _vehicles(at, i, j, place, needs.aside, needs.above, found, derivatives)
+                cost += _vehicles(at, i, j, place, needs.aside, needs.above, record, derivatives)
         for j in range(strands):
             if only < 0 or only in (i, j, j + 1):
-                found.bodies[at.row, i, j] = 0.0
+                record.bodies[at.row, i, j] = 0.0
                 own = i in (j, j + 1)
                 reach = _DISC + _DISC_RANGE if own else needs.bodies[at.row, i, j] + at.range
                 if not _outside(place[i], team.offset, memory.boxes[j], reach):
-                    cost += _bodies(at, i, j, place, team, needs, found, memory, derivatives)
+                    cost += _bodies(at, i, j, place, team, needs, record, memory, derivatives)
     return cost
 
 
 @inner
 def _are_near(
-    i: int, j: int, reach: float, at: _At, place: Floats, team: Team, found: Found, memory: Memory
+    i: int, j: int, reach: float, at: _At, place: Floats, team: Team, record: Found, memory: Memory
 ) -> bool:
     """Return whether two strands may be nearer than ``reach``; then both are written."""
     for k in (i, j):
         if _gap(memory.boxes, i, j) > reach:
             return False
-        _require_strand(k, at, place, team, found, memory)
+        _require_strand(k, at, place, team, record, memory)
     return bool(_gap(memory.boxes, i, j) <= reach)
 
 
 @inner
 def _strands(
-    at: _At, i: int, j: int, place: Floats, team: Team, needs: Needs, found: Found, memory: Memory,
+    at: _At, i: int, j: int, place: Floats, team: Team, needs: Needs, record: Found, memory: Memory,
     derivatives: Derivatives,
 ) -> float:  # fmt: skip
     """Cost of two strands: of all pairs of their pieces that are near, but beside a shared grip."""
     need = needs.strands[at.row, i, j]
-    if not _are_near(i, j, need + at.range, at, place, team, found, memory):
+    if not _are_near(i, j, need + at.range, at, place, team, record, memory):
         return 0.0
     first, second = memory.points[i], memory.points[j]
     pieces, near = len(first) - 1, j == i + 1
@@ -486,7 +486,7 @@ def _strands(
                     place[j], place[j + 1], second[b, 2] + q * (second[b + 1, 2] - second[b, 2]),
                     (b + q) / pieces,
                 )  # fmt: skip
-                found.strands[at.row, i, j] = (
+                record.strands[at.row, i, j] = (
                     team.cable + team.tracking * moved + team.tilt * abs(deeper)
                 )
             value, slope, curvature = barrier(distance - need, at.range, at.relaxed)
@@ -498,14 +498,14 @@ def _strands(
                 _set(derivatives.by, 3, there, -1.0)
                 _add(derivatives, at, (i, i + 1, j, j + 1), 4, _PART * slope, _PART * curvature)
     if best < np.inf:
-        found.distances[at.row, i, j] = best
-        found.missed[at.row] = max(found.missed[at.row], need - best)
+        record.distances[at.row, i, j] = best
+        record.missed[at.row] = max(record.missed[at.row], need - best)
     return cost
 
 
 @inner
 def _vehicles(
-    at: _At, i: int, j: int, place: Floats, aside: Floats, above: Floats, found: Found,
+    at: _At, i: int, j: int, place: Floats, aside: Floats, above: Floats, record: Found,
     derivatives: Derivatives,
 ) -> float:  # fmt: skip
     """Cost of two vehicles: of their distance in plan view or in height, whichever misses less."""
@@ -515,7 +515,7 @@ def _vehicles(
     slack = max(beside, over)
     if slack >= at.range:
         return 0.0
-    found.missed[at.row] = max(found.missed[at.row], -slack)
+    record.missed[at.row] = max(record.missed[at.row], -slack)
     value, slope, curvature = barrier(slack, at.range, at.relaxed)
     if at.derive:
         direction = (x / level, y / level, 0.0)
@@ -540,7 +540,7 @@ def _outside(point: Floats, above: float, box: Floats, reach: float) -> bool:
 
 @inner
 def _bodies(
-    at: _At, i: int, j: int, place: Floats, team: Team, needs: Needs, found: Found, memory: Memory,
+    at: _At, i: int, j: int, place: Floats, team: Team, needs: Needs, record: Found, memory: Memory,
     derivatives: Derivatives,
 ) -> float:  # fmt: skip
     """Cost of a vehicle's body and a strand, or of its rotor disc and one that it holds."""
@@ -549,7 +549,7 @@ def _bodies(
     end = _DISC_RANGE if own else at.range
     x, y, z = place[i, 0], place[i, 1], place[i, 2] + team.offset
     reach = need + end
-    _require_strand(j, at, place, team, found, memory)
+    _require_strand(j, at, place, team, record, memory)
     if _outside(place[i], team.offset, memory.boxes[j], reach):
         return 0.0
     points, cost, best = memory.points[j], 0.0, np.inf
@@ -571,7 +571,7 @@ def _bodies(
             deep = _depth(
                 place[j], place[j + 1], points[b, 2] + part * ez, (b + part) / (len(points) - 1)
             )
-            found.bodies[at.row, i, j] = (
+            record.bodies[at.row, i, j] = (
                 team.body + team.tracking * (1.0 + _size(there) + _size(rest)) + team.tilt * deep
             )
         value, slope, curvature = barrier(distance - need, end, at.relaxed)
@@ -582,13 +582,13 @@ def _bodies(
             _set(derivatives.by, 2, there, -1.0)
             _add(derivatives, at, (i, j, j + 1, 0), 3, _PART * slope, _PART * curvature)
     if best < np.inf:
-        found.missed[at.row] = max(found.missed[at.row], need - best)
+        record.missed[at.row] = max(record.missed[at.row], need - best)
     return cost
 
 
 @inner
 def _strand_alone(
-    at: _At, i: int, place: Floats, team: Team, needs: Needs, found: Found, memory: Memory,
+    at: _At, i: int, place: Floats, team: Team, needs: Needs, record: Found, memory: Memory,
     derivatives: Derivatives,
 ) -> float:  # fmt: skip
     """Cost of a strand's chord, its steepness, and its height above the floor."""
@@ -598,7 +598,7 @@ def _strand_alone(
     chord = max(_size(along), 1e-9)
     slack = team.chord * team.lengths[i] - chord - needs.taut[at.row]
     cost, slope, curvature = barrier(slack, _CHORD_RANGE, 0.5 * at.relaxed)
-    found.missed[at.row] = max(found.missed[at.row], -slack)
+    record.missed[at.row] = max(record.missed[at.row], -slack)
     if at.derive and cost > 0.0:
         direction = (along[0] / chord, along[1] / chord, along[2] / chord)
         _set(derivatives.by, 0, direction, 1.0)
@@ -613,7 +613,7 @@ def _strand_alone(
         _set(derivatives.by, 0, direction, 1.0)
         _set(derivatives.by, 1, direction, -1.0)
         _add(derivatives, at, (i, i + 1, 0, 0), 2, slope, curvature)
-    _require_strand(i, at, place, team, found, memory)
+    _require_strand(i, at, place, team, record, memory)
     points = memory.points[i]
     lowest, up, last = 0, (0.0, 0.0, 1.0), len(points) - 2
     for k in range(1, last + 2):
@@ -623,11 +623,11 @@ def _strand_alone(
     lowest, part = (lowest, 0.0) if lowest <= last else (last, 1.0)
     there = _by_end(place[i], place[i + 1], memory.responses[i], (lowest, part), up)
     rest = _less(up, there)
-    found.floor[at.row, i] = team.floor + team.tracking * (_size(there) + _size(rest))
+    record.floor[at.row, i] = team.floor + team.tracking * (_size(there) + _size(rest))
     slack = height - needs.floor[at.row, i]
     value, slope, curvature = barrier(slack, at.range, at.relaxed)
     cost += value
-    found.missed[at.row] = max(found.missed[at.row], -slack)
+    record.missed[at.row] = max(record.missed[at.row], -slack)
     if at.derive and value > 0.0:
         _set(derivatives.by, 0, rest, 1.0)
         _set(derivatives.by, 1, there, 1.0)
@@ -637,7 +637,7 @@ def _strand_alone(
 
 @inner
 def _within_walls(
-    at: _At, i: int, place: Floats, team: Team, needs: Needs, found: Found,
+    at: _At, i: int, place: Floats, team: Team, needs: Needs, record: Found,
     derivatives: Derivatives,
 ) -> float:  # fmt: skip
     """Cost of a vehicle and all walls."""
@@ -649,7 +649,7 @@ def _within_walls(
         slack = distance - needs.inside[at.row, q]
         value, slope, curvature = barrier(slack, at.range, at.relaxed)
         cost += value
-        found.missed[at.row] = max(found.missed[at.row], -slack)
+        record.missed[at.row] = max(record.missed[at.row], -slack)
         if at.derive and value > 0.0:
             _set(derivatives.by, 0, normal, 1.0)
             _add(derivatives, at, (i, 0, 0, 0), 1, slope, curvature)
@@ -658,20 +658,20 @@ def _within_walls(
 
 @compiled
 def add_walls(
-    poses: Poses, team: Team, needs: Needs, found: Found, derivatives: Derivatives, derive: bool
+    poses: Poses, team: Team, needs: Needs, record: Found, derivatives: Derivatives, derive: bool
 ) -> float:
     """Return the cost of the vehicles of poses and all walls alone, as :func:`add_clearances`."""
     cost = 0.0
     for s in range(len(poses.places)):
         at = _At(s, poses.rows[s], poses.range, poses.weight, poses.relaxed, derive)
         for i in range(poses.places.shape[1]):
-            cost += _within_walls(at, i, poses.places[s], team, needs, found, derivatives)
+            cost += _within_walls(at, i, poses.places[s], team, needs, record, derivatives)
     return poses.weight * cost
 
 
 @inner
 def _beside_walls(
-    at: _At, i: int, place: Floats, team: Team, needs: Needs, found: Found, memory: Memory,
+    at: _At, i: int, place: Floats, team: Team, needs: Needs, record: Found, memory: Memory,
     derivatives: Derivatives,
 ) -> float:  # fmt: skip
     """Cost of a strand and all walls: of its points that are near."""
@@ -685,7 +685,7 @@ def _beside_walls(
         # no point of a strand is farther from the middle of its chord than half its length
         if plane_beside(walls.solids[q], middle)[1] >= need + at.range + 0.5 * length:
             continue
-        _require_strand(i, at, place, team, found, memory)
+        _require_strand(i, at, place, team, record, memory)
         points, last = memory.points[i], len(memory.points[i]) - 1
         for k in range(last + 1):
             point = (points[k, 0], points[k, 1], points[k, 2])
@@ -699,7 +699,7 @@ def _beside_walls(
             if slack < best:
                 best = slack
                 deep = _depth(place[i], place[i + 1], points[k, 2], k / last)
-                found.beside[at.row, i] = (
+                record.beside[at.row, i] = (
                     team.tracking * (_size(there) + _size(rest)) + team.tilt * deep
                 )
             value, slope, curvature = barrier(slack, at.range, at.relaxed)
@@ -708,23 +708,23 @@ def _beside_walls(
                 _set(derivatives.by, 0, rest, 1.0)
                 _set(derivatives.by, 1, there, 1.0)
                 _add(derivatives, at, (i, i + 1, 0, 0), 2, _PART * slope, _PART * curvature)
-    found.missed[at.row] = max(found.missed[at.row], -best)
+    record.missed[at.row] = max(record.missed[at.row], -best)
     return cost
 
 
 @compiled
 def oscillate(
-    force: Floats2, squares: Floats1, damping: Floats1, step: float, found: Floats2
+    force: Floats2, squares: Floats1, damping: Floats1, step: float, swings: Floats2
 ) -> None:
-    """Write ``found`` (t, k): y″ + c·y′ + ω²·y = −f for columns of ``force`` (t, k), from rest.
+    """Write ``swings`` (t, k): y″ + c·y′ + ω²·y = −f for columns of ``force`` (t, k), from rest.
 
     ω² are the ``squares`` (t,), c the ``damping`` (t,); by the trapezoidal rule with ``step``
-    seconds. The second half of ``found``'s rows is memory: it has 2 more rows than ``force``.
+    seconds. The second half of ``swings``'s rows is memory: it has 2 more rows than ``force``.
     """
     count, columns = force.shape
-    place, speed = found[count], found[count + 1]
+    place, speed = swings[count], swings[count + 1]
     for k in range(columns):
-        place[k] = speed[k] = found[0, k] = 0.0
+        place[k] = speed[k] = swings[0, k] = 0.0
     for t in range(1, count):
         square, drag = 0.5 * (squares[t] + squares[t - 1]), 0.5 * (damping[t] + damping[t - 1])
         below = 1.0 + 0.5 * step * drag + 0.25 * step * step * square
@@ -734,18 +734,18 @@ def oscillate(
             faster = (speed[k] * kept + step * (pushed - square * place[k])) / below
             place[k] += 0.5 * step * (speed[k] + faster)
             speed[k] = faster
-            found[t, k] = place[k]
+            swings[t, k] = place[k]
 
 
 @compiled
-def respond(held: Floats2, lost: Floats2, found: Floats2) -> None:
-    """Write ``found`` (t, k): the second of three states that columns of ``lost`` (t, k) drive.
+def respond(held: Floats2, lost: Floats2, response: Floats2) -> None:
+    """Write ``response`` (t, k): the second of three states that columns of ``lost`` (t, k) drive.
 
     ``held`` (3, 4) advances the states, with the column, by a moment. The last three rows of
-    ``found`` are memory: it has 3 more rows than ``lost``.
+    ``response`` are memory: it has 3 more rows than ``lost``.
     """
     count, columns = lost.shape
-    state = found[count:]
+    state = response[count:]
     for k in range(columns):
         state[0, k] = state[1, k] = state[2, k] = 0.0
     for t in range(count):
@@ -755,7 +755,7 @@ def respond(held: Floats2, lost: Floats2, found: Floats2) -> None:
                 state[row, k] = (
                     held[row, 0] * a + held[row, 1] * b + held[row, 2] * c + held[row, 3] * d
                 )
-            found[t, k] = state[1, k]
+            response[t, k] = state[1, k]
 
 
 class Splines(NamedTuple):
@@ -822,27 +822,27 @@ def scatter_products(
 
 
 @compiled
-def band_times(band: Floats2, vectors: Floats2, found: Floats2) -> None:
-    """Write to ``found`` (v, c) a symmetric matrix, of its lower ``band`` (c, h), times vectors."""
+def band_times(band: Floats2, vectors: Floats2, sums: Floats2) -> None:
+    """Write to ``sums`` (v, c) a symmetric matrix, of its lower ``band`` (c, h), times vectors."""
     count, high = band.shape
-    found[:] = 0.0
+    sums[:] = 0.0
     for v in range(len(vectors)):
         for column in range(count):
             here = vectors[v, column]
             total = band[column, 0] * here
             for below in range(1, min(high, count - column)):
-                found[v, column + below] += band[column, below] * here
+                sums[v, column + below] += band[column, below] * here
                 total += band[column, below] * vectors[v, column + below]
-            found[v, column] += total
+            sums[v, column] += total
 
 
 @compiled
-def gather(splines: Splines, vectors: Floats2, found: Floats2) -> None:
-    """Add to ``found`` (k, 3n) the vectors (s, 3n) of poses, by the splines at them."""
+def gather(splines: Splines, vectors: Floats2, sums: Floats2) -> None:
+    """Add to ``sums`` (k, 3n) the vectors (s, 3n) of poses, by the splines at them."""
     poses, vehicles, many = splines.shares.shape
     for s in range(poses):
         for i in range(vehicles):
             for a in range(many):
                 row, share = splines.first[s, i] + a, splines.shares[s, i, a]
                 for x in range(3 * i, 3 * i + 3):
-                    found[row, x] += share * vectors[s, x]
+                    sums[row, x] += share * vectors[s, x]

@@ -266,8 +266,8 @@ def _read_manifest(data: bytes, source: str) -> Mapping[str, Any]:
         raise InputError([Problem(f"{source}: schema", message)])
     if not isinstance(manifest.get("sha256"), dict) or "digest" not in manifest:
         raise InputError([Problem(f"{source}: {_MANIFEST}", "cannot be read")])
-    found: Mapping[str, Any] = manifest
-    return found
+    mapping: Mapping[str, Any] = manifest
+    return mapping
 
 
 def _document(data: bytes, place: str) -> Any:
@@ -281,10 +281,10 @@ def _json(document: Mapping[str, Any]) -> bytes:
 def _members(data: bytes, source: str, names: Sequence[str]) -> dict[str, bytes]:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            found = {}
+            members = {}
             for name in names:
                 with archive.open(name) as member:
-                    found[name] = member.read(_LARGEST_MEMBER + 1)
+                    members[name] = member.read(_LARGEST_MEMBER + 1)
     except KeyError as error:
         message = f"expected a plan file, got an archive without {error.args[0]}"
         raise InputError([Problem(source, message)]) from None
@@ -293,11 +293,11 @@ def _members(data: bytes, source: str, names: Sequence[str]) -> dict[str, bytes]
         if data.lstrip()[:1] == b"{" and b'"fileType"' in data:
             message = "expected a plan file of swarm plan --save, got a plan of QGroundControl"
         raise InputError([Problem(source, message)]) from None
-    large = [name for name, read in found.items() if len(read) > _LARGEST_MEMBER]
+    large = [name for name, read in members.items() if len(read) > _LARGEST_MEMBER]
     if large:
         message = f"expected at most {_LARGEST_MEMBER:,} bytes"
         raise InputError([Problem(f"{source}: {name}", message) for name in large])
-    return found
+    return members
 
 
 def _require(place: str, expected: object, got: object) -> None:

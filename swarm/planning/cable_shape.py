@@ -36,13 +36,13 @@ def cable_shape(plan: Plan, times: npt.ArrayLike, points: int) -> Floats:
     if problems:
         raise InputError(problems)
     flat, lengths = given.reshape(-1), plan.layout.lengths
-    found = np.full((len(flat), len(lengths), points, 3), np.nan)
+    cable = np.full((len(flat), len(lengths), points, 3), np.nan)
     defined = np.array([plan.phase_at(time).cable != "free" for time in flat.tolist()], dtype=bool)
     if len(lengths) and defined.any():
         grips = _grip_points(plan, flat[defined])
         strands = rest_on_floor(grips[:, :-1], grips[:, 1:], lengths)
-        found[defined] = strands.points(np.linspace(0.0, 1.0, points))
-    return found.reshape(*given.shape, *found.shape[1:])
+        cable[defined] = strands.points(np.linspace(0.0, 1.0, points))
+    return cable.reshape(*given.shape, *cable.shape[1:])
 
 
 def _grip_points(plan: Plan, times: Floats) -> Floats:

@@ -111,7 +111,7 @@ def candidates(mission: Mission, *, progress: Progress | None = None) -> Iterato
         refuse_overload(mission, [np.asarray(mission.layout.corners, dtype=np.float64)])
         foldings = foldings_of_given_layout(mission.layout, margins, progress)
         given = tuple(note for _, note in foldings)
-        for folding in sorted((one for one, _ in foldings), key=lambda one: one.schedule.worst):
+        for folding in sorted((fold for fold, _ in foldings), key=lambda fold: fold.schedule.worst):
             yield Candidate(plan_of_folding(mission, knot, folding), folding, notes=given)
             given = ()
         return

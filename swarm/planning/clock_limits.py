@@ -119,9 +119,9 @@ def moved_on(
     approaches its target; a slope in the wrong direction ends at once.
     """
     time, rate, slope = clock
-    left = abs(target - rate)
+    error = abs(target - rate)
     near = rise / bandwidth**2
-    wanted = bandwidth * left if left < near else np.sqrt(2.0 * rise * (left - 0.5 * near))
+    wanted = bandwidth * error if error < near else np.sqrt(2.0 * rise * (error - 0.5 * near))
     wanted = min(wanted, steepest) if target > rate else -min(wanted, steepest)
     change = min(1.0, 4.0 * bandwidth * duration) * (wanted - slope)
     if slope * change >= 0.0:

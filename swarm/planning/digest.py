@@ -27,8 +27,8 @@ def digest(plan: Plan) -> str:
         "phases": [asdict(phase) for phase in plan.phases],
         "gates": [asdict(gate) for gate in plan.gates],
     }
-    found = hashlib.sha256(_VERSION)
-    found.update(json.dumps(words, sort_keys=True).encode())
+    checksum = hashlib.sha256(_VERSION)
+    checksum.update(json.dumps(words, sort_keys=True).encode())
     for array in (
         plan.motion.times,
         plan.motion.coefficients,
@@ -37,6 +37,6 @@ def digest(plan: Plan) -> str:
         layout.lengths,
         layout.lanes,
     ):
-        found.update(repr(array.shape).encode())
-        found.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
-    return found.hexdigest()
+        checksum.update(repr(array.shape).encode())
+        checksum.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+    return checksum.hexdigest()

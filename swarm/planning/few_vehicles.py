@@ -113,49 +113,49 @@ class FewVehicles:
             f"at least {self.least} vehicles are needed for {self.knot.crossings} crossings, with "
             "one catenary for each edge and both ends outside in plan view"
         )
-        found = _Searched((bound,), 0)
+        record = _Searched((bound,), 0)
         if self.count == "fewest":
             for count in range(self.least, self.most):
-                if found.attempts >= self.attempts:
-                    return (*found.notes, self._ended(count))
-                found = yield from self._with(count, found, progress)
-            return found.notes
+                if record.attempts >= self.attempts:
+                    return (*record.notes, self._ended(count))
+                record = yield from self._with(count, record, progress)
+            return record.notes
         if not self.least <= self.count <= self.most:
             raise Refused(
                 f"vehicles.count {self.count}: {bound}, and the grid diagram has {self.most}"
             )
-        found = yield from self._with(self.count, found, progress)
-        if found.notes:
-            nearest = self._nearest(self.count, found, progress)
-            raise Refused(f"vehicles.count {self.count}: {found.notes[-1]}; {nearest}")
+        record = yield from self._with(self.count, record, progress)
+        if record.notes:
+            nearest = self._nearest(self.count, record, progress)
+            raise Refused(f"vehicles.count {self.count}: {record.notes[-1]}; {nearest}")
         return ()
 
     def _ended(self, count: int) -> str:
         return f"the search ended after {self.attempts} attempts, before {count} vehicles"
 
-    def _nearest(self, count: int, found: _Searched, progress: Progress | None) -> str:
+    def _nearest(self, count: int, record: _Searched, progress: Progress | None) -> str:
         """Return in words for which larger number of vehicles a motion is found."""
         for more in range(count + 1, self.most):
-            if found.attempts >= self.attempts:
+            if record.attempts >= self.attempts:
                 return f"{self._ended(more)}; the grid diagram has {self.most}"
-            search = self._with(more, found, progress)
+            search = self._with(more, record, progress)
             try:
                 next(search)
             except StopIteration as end:
-                found = end.value
+                record = end.value
             else:
                 return f"the nearest number with a motion is {more}"
         return f"the grid diagram has {self.most}"
 
-    def _with(self, count: int, found: _Searched, progress: Progress | None) -> Noted:
+    def _with(self, count: int, record: _Searched, progress: Progress | None) -> Noted:
         """Yield foldings with a number of vehicles, the first one with the notes before it.
 
         Those with a short cable come first. Returns the notes, and why there is none, where no
         folding was yielded.
         """
         layouts, why = self._layouts(count, progress)
-        most = min(_ATTEMPTS, self.attempts - found.attempts) if layouts else 0
-        notes, attempts = found.notes, found.attempts
+        most = min(_ATTEMPTS, self.attempts - record.attempts) if layouts else 0
+        notes, attempts = record.notes, record.attempts
         folded: set[int] = set()
         for attempt in range(most):
             if progress:
@@ -180,18 +180,18 @@ class FewVehicles:
 
         They keep the margins at rest, the shortest first, and the vehicles can carry them.
         """
-        found = [
+        layouts = [
             layout
             for layout in self._polygons(count, progress)
             if layout is not None and self._is_the_knot(layout)
         ]
-        carried = [layout for layout in found if _largest_load(layout) <= self.carried]
-        if not found:
+        carried = [layout for layout in layouts if _largest_load(layout) <= self.carried]
+        if not layouts:
             return [], f"no layout with {count} vehicles was found"
         if not carried:
             return [], f"the layouts with {count} vehicles are too heavy for them"
         why = f"no motion with {count} vehicles was found; layouts: {len(carried)}"
-        return sorted(carried, key=lambda one: one.lengths.sum()), why
+        return sorted(carried, key=lambda shape: shape.lengths.sum()), why
 
     def _polygons(self, count: int, progress: Progress | None) -> Iterator[KnotLayout | None]:
         """Yield layouts with a number of vehicles, of any knot; None where margins are missed."""
@@ -215,10 +215,10 @@ class FewVehicles:
     def _is_the_knot(self, layout: KnotLayout) -> bool:
         """Return whether the cable of a layout at rest has the knot."""
         try:
-            found = identify_curve(_curve(layout))
+            knot = identify_curve(_curve(layout))
         except SwarmError:
             return False
-        return (found.name, found.chirality) == (self.knot.name, self.knot.chirality)
+        return (knot.name, knot.chirality) == (self.knot.name, self.knot.chirality)
 
 
 def code_at_rest(layout: KnotLayout) -> SignedGauss:

@@ -158,8 +158,8 @@ def _tighten(mission: Mission, lengths: Floats, folded: Floats) -> tuple[PhaseMo
     )
 
 
-def _plan_distance(one: Floats, other: Floats) -> float:
-    return float(np.hypot(one[0] - other[0], one[1] - other[1]))
+def _plan_distance(first: Floats, second: Floats) -> float:
+    return float(np.hypot(first[0] - second[0], first[1] - second[1]))
 
 
 def _span(length: float, height: float, pull: float) -> float:

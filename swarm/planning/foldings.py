@@ -200,14 +200,14 @@ def _best(
 
 def distinct_openings(opened: tuple[OpenGrid, ...]) -> list[OpenGrid]:
     """Return openings without rotated or mirrored copies in plan view, which fold alike."""
-    found: dict[tuple[object, ...], OpenGrid] = {}
+    by_shape: dict[tuple[object, ...], OpenGrid] = {}
     for diagram in opened:
         steps = np.diff(np.array(diagram.corners, dtype=np.intp), axis=0)
         first = np.sign(steps[0])
         ahead, aside = steps @ first, steps @ np.array([-first[1], first[0]])
         aside *= np.sign(aside[np.flatnonzero(aside)[0]])
-        found.setdefault((diagram.crossings, tuple(ahead), tuple(aside)), diagram)
-    return list(found.values())
+        by_shape.setdefault((diagram.crossings, tuple(ahead), tuple(aside)), diagram)
+    return list(by_shape.values())
 
 
 def planning_margins(mission: Mission) -> Margins:

@@ -41,7 +41,7 @@ def foldings_of_given_layout(
     corners = layout.corners.copy()
     corners[:, :2] = (corners[:, :2] - corners[0, :2]) @ turn.T
     levels = np.unique(layout.sags.round(6), return_inverse=True)[1].astype(np.float64)
-    found: list[tuple[Folding, str]] = []
+    foldings: list[tuple[Folding, str]] = []
     for done, (spacing, slope, rounding) in enumerate(_TRIED):
         if progress:
             progress("folding the given layout", done / len(_TRIED))
@@ -53,13 +53,13 @@ def foldings_of_given_layout(
             f"tried lanes {spacing * shortest:.2f} m apart: misses its margins by "
             f"{folding.schedule.worst:.2g}"
         )
-        found.append((folding, note))
-    if min(folding.schedule.worst for folding, _ in found) >= GOOD:
+        foldings.append((folding, note))
+    if min(folding.schedule.worst for folding, _ in foldings) >= GOOD:
         placed = replace(layout, corners=corners)
         attempts = (searched_folding(placed, margins, k, progress) for k in range(_SEARCHES))
-        searched = next((one for one in attempts if one is not None), None)
+        searched = next((attempt for attempt in attempts if attempt is not None), None)
         if searched is not None:
             worst = searched.schedule.worst
             note = f"searched a motion that untangles the knot: misses its margins by {worst:.2g}"
-            found.append((searched, note))
-    return found
+            foldings.append((searched, note))
+    return foldings

@@ -132,8 +132,8 @@ def shape(paced: PacedMotion, shaper: Shaper) -> Motion:
 def shaped_from(paced: PacedMotion, shaper: Shaper) -> Floats:
     """Return the motion's own times (m, k) whose shares make up its shaped motion, every 0.2 s."""
     delayed = _samples(paced, shaper)[:, None] - shaper.delays
-    found: Floats = np.interp(delayed, paced.time, paced.at)
-    return found
+    times: Floats = np.interp(delayed, paced.time, paced.at)
+    return times
 
 
 def _samples(paced: PacedMotion, shaper: Shaper) -> Floats:
@@ -151,17 +151,17 @@ def largest_stray(motion: Motion, strands: Sequence[Strands]) -> tuple[Floats, F
     finest = strands[-1].model
     times = np.arange(motion.times[0], motion.times[-1] + SETTLING, finest.step)
     ends, compared = motion.places(times), steps_between_compared(finest)
-    found = np.empty((len(times[::compared]), ends.shape[1] - 1))
+    strays = np.empty((len(times[::compared]), ends.shape[1] - 1))
 
     def write(some: Strands) -> None:
         moved = ends[:: round(some.model.step / finest.step)]
         every = steps_between_compared(some.model)
         joints = some.swing_on_each(some.at_rest(ends[0])[None], moved[None], every)[0]
-        found[:, some.segments] = some.strays(joints, moved[::every])
+        strays[:, some.segments] = some.strays(joints, moved[::every])
 
     for _ in side_by_side(write, _side_by_side(strands)):
         pass
-    return times[::compared], found
+    return times[::compared], strays
 
 
 def _side_by_side(strands: Sequence[Strands]) -> Iterator[Strands]:

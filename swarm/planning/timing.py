@@ -99,8 +99,8 @@ def _time_factors(
     coefficients = np.ascontiguousarray(motion.coefficients[pieces])
     fastest, hardest = np.empty((2, len(durations)))
     _largest_rates(coefficients, durations, samples, fastest, hardest)
-    found: Floats = np.maximum(fastest / max_speed, np.sqrt(hardest / max_acceleration))
-    return found
+    factors: Floats = np.maximum(fastest / max_speed, np.sqrt(hardest / max_acceleration))
+    return factors
 
 
 @compiled
@@ -145,13 +145,13 @@ class _RateLimits:
         deviation = _SMOOTHING / self.step
         impulse = np.zeros(2 * math.ceil(4.0 * deviation) + 1)
         impulse[len(impulse) // 2] = 1.0
-        found: Floats = scipy.ndimage.gaussian_filter1d(impulse, deviation, mode="constant")
-        return found
+        weights: Floats = scipy.ndimage.gaussian_filter1d(impulse, deviation, mode="constant")
+        return weights
 
     def smooth(self, values: Floats) -> Floats:
         """Return values (k,) smoothed by a symmetric matrix of weights."""
-        found: Floats = scipy.ndimage.correlate1d(values, self._kernel, mode="reflect")
-        return found
+        averages: Floats = scipy.ndimage.correlate1d(values, self._kernel, mode="reflect")
+        return averages
 
     def rate_squared(self, log_rates: Floats) -> Floats:
         """Return the squared rate (k,) for its logarithm before smoothing."""
@@ -174,14 +174,14 @@ class _RateLimits:
             gradient = self.smooth(slope - 0.5 * w**-1.5) * rates
             return float(step / usual * total), step / usual * gradient
 
-        found = scipy.optimize.minimize(
+        optimum = scipy.optimize.minimize(
             cost,
             log_rates,
             jac=True,
             method="L-BFGS-B",
             options={"maxiter": steps, "maxcor": 20, "ftol": 1e-7},
         )
-        return np.asarray(found.x)
+        return np.asarray(optimum.x)
 
     def tightened(self, chosen: npt.NDArray[np.intp], excess: Floats) -> "_RateLimits":
         """Return lower limits at pieces whose ``excess`` (p,), squared, is above 1."""
@@ -239,18 +239,18 @@ def _excess(
 
 def _half_slope(w: Floats, step: float) -> Floats:
     """Return half the derivative of a squared rate (k,)."""
-    found: Floats = 0.5 * np.gradient(w, step)
-    return found
+    half_slope: Floats = 0.5 * np.gradient(w, step)
+    return half_slope
 
 
 def _half_slope_transposed(by_u: Floats, step: float) -> Floats:
     """Apply the transpose of :func:`_half_slope`."""
-    inner, found = by_u[1:-1] / (4.0 * step), np.zeros_like(by_u)
-    found[2:] += inner
-    found[:-2] -= inner
-    found[:2] += by_u[0] / (2.0 * step) * np.array([-1.0, 1.0])
-    found[-2:] += by_u[-1] / (2.0 * step) * np.array([-1.0, 1.0])
-    return found
+    inner, by_w = by_u[1:-1] / (4.0 * step), np.zeros_like(by_u)
+    by_w[2:] += inner
+    by_w[:-2] -= inner
+    by_w[:2] += by_u[0] / (2.0 * step) * np.array([-1.0, 1.0])
+    by_w[-2:] += by_u[-1] / (2.0 * step) * np.array([-1.0, 1.0])
+    return by_w
 
 
 def _motion(

@@ -72,8 +72,8 @@ def merge_events(events: Iterable[Event]) -> list[tuple[Event, list[int]]]:
 
 def together(names: Sequence[str]) -> str:
     """Return two numbered things in words: ``segments 3 and 5``, or ``vehicle 9 and segment 2``."""
-    (one, first), (other, second) = (name.rsplit(" ", 1) for name in names)
-    return f"{one}s {first} and {second}" if one == other else " and ".join(names)
+    (kind, first), (other, second) = (name.rsplit(" ", 1) for name in names)
+    return f"{kind}s {first} and {second}" if kind == other else " and ".join(names)
 
 
 def metres(value: float | None) -> str:

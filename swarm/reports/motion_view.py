@@ -141,28 +141,28 @@ def _implied_cable(
 def _planned_moments(assessment: Assessment) -> tuple[MarkedMoment, ...]:
     """Return the tightest moment of each kind of clearance, then the other tightest moments."""
     kinds = assessment.distances.values()
-    known = {(one.between, round(one.time, 1)) for one in kinds}
-    others = [one for one in assessment.tightest if (one.between, round(one.time, 1)) not in known]
+    known = {(gap.between, round(gap.time, 1)) for gap in kinds}
+    others = [gap for gap in assessment.tightest if (gap.between, round(gap.time, 1)) not in known]
     moments: list[Tightest | Moment] = [*kinds, *others]
     return tuple(
         MarkedMoment(
-            one.time,
-            f"{certified(one.distance)} certified, {_in_words(one.between)}, {seconds(one.time)}",
-            one.between,
+            gap.time,
+            f"{certified(gap.distance)} certified, {_in_words(gap.between)}, {seconds(gap.time)}",
+            gap.between,
         )
-        for one in moments
-        if np.isfinite(one.distance)
+        for gap in moments
+        if np.isfinite(gap.distance)
     )
 
 
 def _flown_moments(outcome: Mapping[str, Any], trace: Trace) -> tuple[MarkedMoment, ...]:
     flown = [both["flown"] for both in outcome["clearance"].values() if both["flown"]]
     marked = []
-    for one in flown:
-        at = int(np.nanargmin(np.abs(trace.mission_time - one["time"])))
-        words = f"{metres(one['distance'])} flown, {_in_words(one['between'])}"
-        words += f", mission time {seconds(one['time'])}"
-        marked.append(MarkedMoment(float(trace.time[at]), words, tuple(one["between"])))
+    for gap in flown:
+        at = int(np.nanargmin(np.abs(trace.mission_time - gap["time"])))
+        words = f"{metres(gap['distance'])} flown, {_in_words(gap['between'])}"
+        words += f", mission time {seconds(gap['time'])}"
+        marked.append(MarkedMoment(float(trace.time[at]), words, tuple(gap["between"])))
     return tuple(marked)
 
 

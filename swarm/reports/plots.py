@@ -581,22 +581,22 @@ def _write(
     pixels = axes.figure.dpi / 72.0
     size = np.array([extent.width, extent.height]) + 2.0 * _PADDING * pixels
     aside = _ASIDE * pixels
-    found = None
+    spot = None
     for place in places:
         for side in _SIDES:
             middle = _printed(axes, place) + np.array(side) * (aside + 0.5 * size)
             box = Bbox([middle - 0.5 * size, middle + 0.5 * size])
-            if found is None and not any(box.overlaps(other) for other in taken):
-                found = place, side, box
-    if found is None and not needed:
+            if spot is None and not any(box.overlaps(other) for other in taken):
+                spot = place, side, box
+    if spot is None and not needed:
         text.remove()
         return
-    place, side = found[:2] if found else (places[0], _SIDES[0])
+    place, side = spot[:2] if spot else (places[0], _SIDES[0])
     text.xy = _projected(axes, place)
     text.set_position((_ASIDE * side[0], _ASIDE * side[1]))
     text.set(ha="left" if side[0] > 0 else "right", va="bottom" if side[1] > 0 else "top")
-    if found:
-        taken.append(found[2])
+    if spot:
+        taken.append(spot[2])
 
 
 def _printed(axes: Axes, place: Floats) -> Floats:

@@ -105,11 +105,11 @@ def closest_strands(shapes: Floats) -> tuple[float, Floats] | None:
     bound = np.linalg.norm(gap, axis=1)
     nearest = strand_strand(shapes, pairs[[bound.argmin()]]).distance[0]
     pairs = pairs[bound <= nearest]
-    found = strand_strand(shapes, pairs)
-    best = int(found.distance.argmin())
-    positions = (found.first[best], found.second[best])
+    closest = strand_strand(shapes, pairs)
+    best = int(closest.distance.argmin())
+    positions = (closest.first[best], closest.second[best])
     ends = [_point_at(shapes[k], at) for k, at in zip(pairs[best], positions, strict=True)]
-    return float(found.distance[best]), np.array(ends)
+    return float(closest.distance[best]), np.array(ends)
 
 
 def _point_at(strand: Floats, position: float) -> Floats:
@@ -221,15 +221,15 @@ def flown_cable(plan: Plan, trace: Trace) -> Floats:
 
 def crossings(layout: KnotLayout) -> list[Crossing]:
     """Return the crossings of the folded cable, with the points of both strands."""
-    found = []
+    crossings = []
     for over, under in layout.crossings:
         share = crossing_shares(layout.corners[:, :2], over, under)
         points = [
             solve_catenaries(layout.corners[k], layout.corners[k + 1], layout.lengths[k]).at_span(s)
             for k, s in zip((over, under), share, strict=True)
         ]
-        found.append(Crossing(over + 1, under + 1, points[0], points[1]))
-    return found
+        crossings.append(Crossing(over + 1, under + 1, points[0], points[1]))
+    return crossings
 
 
 def workspace_lines(plan: Plan) -> dict[str, list[Floats]]:

@@ -103,12 +103,12 @@ def phase_line(plan: Plan, snapshot: Snapshot) -> Text:
 def wait_line(snapshot: Snapshot) -> Text:
     """Return why the team holds, or the gate at which it waits, with the time that is left."""
     line = Text(overflow="ellipsis", no_wrap=True)
-    left = snapshot.time_left
+    remaining = snapshot.time_left
     if snapshot.held:
-        landing = "" if left is None else f", all land together in {left:.0f} s"
+        landing = "" if remaining is None else f", all land together in {remaining:.0f} s"
         line.append(f"hold{landing}: {snapshot.held}", "bold yellow")
     elif snapshot.waiting_for:
-        seconds = "" if left is None else f", {left:.0f} s left"
+        seconds = "" if remaining is None else f", {remaining:.0f} s left"
         if snapshot.missing and len(snapshot.missing) < len(snapshot.modes):
             seconds += f", missing {numbers(snapshot.missing)}"
         line.append(f"waiting{seconds}: for {snapshot.waiting_for}", "yellow")

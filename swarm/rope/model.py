@@ -57,8 +57,8 @@ class Grips:
         k = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
         share = (times - self.times[k]) / (self.times[k + 1] - self.times[k])
         before, after = self.places[k], self.places[k + 1]
-        found: Floats = before + np.clip(share, 0.0, 1.0)[:, None, None] * (after - before)
-        return found
+        points: Floats = before + np.clip(share, 0.0, 1.0)[:, None, None] * (after - before)
+        return points
 
 
 @dataclass(frozen=True, eq=False)

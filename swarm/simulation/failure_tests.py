@@ -423,7 +423,7 @@ def read_results(lines: Iterable[str], expected: ResultsHeader) -> list[CaseTria
 
     Raises :class:`InputError` where a line has no results or the header is not the expected one.
     """
-    found: list[CaseTrials] = []
+    trials: list[CaseTrials] = []
     for number, text in enumerate(lines, 1):
         try:
             if number == 1:
@@ -433,10 +433,10 @@ def read_results(lines: Iterable[str], expected: ResultsHeader) -> list[CaseTria
                         f"expected results of {_described(expected)}, got {_described(header)}"
                     )
                 continue
-            found.append(_trials(text))
+            trials.append(_trials(text))
         except (ValidationError, ValueError):
             raise InputError(f"line {number}: expected results of failure tests") from None
-    return found
+    return trials
 
 
 def open_results(path: Path, header: ResultsHeader) -> list[CaseTrials]:
@@ -596,7 +596,7 @@ def run_failure_tests(
     """
     tasks = _tasks(settings)
     keys = {task.key(case) for task in tasks for case in task.cases}
-    results = {one.key: one for one in earlier_results if one.key in keys}
+    results = {group.key: group for group in earlier_results if group.key in keys}
     total = len(settings.cases) * len(settings.autopilots) * settings.times
     parts = [
         part
@@ -612,7 +612,7 @@ def run_failure_tests(
             if on_result is not None:
                 on_result(result)
             if progress is not None:
-                progress(sum(len(one.trials) for one in results.values()), total)
+                progress(sum(len(group.trials) for group in results.values()), total)
     trials: dict[tuple[str, TeamAutopilots], list[FaultTrial]] = {}
     for result in results.values():
         trials.setdefault((result.case, result.autopilots), []).extend(result.trials)

@@ -36,26 +36,26 @@ def branch(root: T, shared: Iterable[object] = ()) -> T:
     ``copy.deepcopy`` makes an array of its own of every view. Here a view of an array, and a
     memoryview, becomes the same view of that array's copy.
     """
-    memo: dict[int, Any] = {id(one): one for one in shared}
-    arrays = [one for one in _parts(root, set(memo)) if isinstance(one, np.ndarray | memoryview)]
+    memo: dict[int, Any] = {id(part): part for part in shared}
+    arrays = [part for part in _parts(root, set(memo)) if isinstance(part, np.ndarray | memoryview)]
     owners: dict[int, Any] = {}
-    for one in arrays:
-        owner = _owner(one)
-        if owner is one:
+    for part in arrays:
+        owner = _owner(part)
+        if owner is part:
             continue
         if id(owner) not in owners:
             owners[id(owner)] = memo.setdefault(id(owner), owner.copy(order="K"))
-        memo[id(one)] = _same_view(one, owner, owners[id(owner)])
+        memo[id(part)] = _same_view(part, owner, owners[id(owner)])
     return copy.deepcopy(root, memo)
 
 
-def _owner(one: Any) -> Any:
+def _owner(array: Any) -> Any:
     """Return the array that owns the memory of a view, or of an array itself."""
-    if isinstance(one, memoryview):
-        one = one.obj
-    while isinstance(getattr(one, "base", None), np.ndarray):
-        one = one.base
-    return one
+    if isinstance(array, memoryview):
+        array = array.obj
+    while isinstance(getattr(array, "base", None), np.ndarray):
+        array = array.base
+    return array
 
 
 def _same_view(view: Any, owner: Any, copied: Any) -> Any:
@@ -71,24 +71,24 @@ def _parts(root: object, seen: set[int]) -> Iterator[object]:
     """Yield all objects that a deep copy of an object copies, once."""
     waiting = [root]
     while waiting:
-        one = waiting.pop()
-        if id(one) in seen or isinstance(one, _ATOMS):
+        part = waiting.pop()
+        if id(part) in seen or isinstance(part, _ATOMS):
             continue
-        seen.add(id(one))
-        yield one
-        if isinstance(one, dict):
-            waiting += one.keys()
-            waiting += one.values()
-        elif isinstance(one, list | tuple | set | frozenset | deque):
-            waiting += one
-        elif isinstance(one, types.MethodType):
-            waiting.append(one.__self__)
-        elif isinstance(one, functools.partial):
-            waiting += [one.func, one.args, one.keywords]
-        elif not isinstance(one, np.ndarray | memoryview):
-            waiting += list(getattr(one, "__dict__", {}).values())
-            slots = (name for kind in type(one).__mro__ for name in getattr(kind, "__slots__", ()))
-            waiting += [getattr(one, name) for name in slots if hasattr(one, name)]
+        seen.add(id(part))
+        yield part
+        if isinstance(part, dict):
+            waiting += part.keys()
+            waiting += part.values()
+        elif isinstance(part, list | tuple | set | frozenset | deque):
+            waiting += part
+        elif isinstance(part, types.MethodType):
+            waiting.append(part.__self__)
+        elif isinstance(part, functools.partial):
+            waiting += [part.func, part.args, part.keywords]
+        elif not isinstance(part, np.ndarray | memoryview):
+            waiting += list(getattr(part, "__dict__", {}).values())
+            slots = (name for kind in type(part).__mro__ for name in getattr(kind, "__slots__", ()))
+            waiting += [getattr(part, name) for name in slots if hasattr(part, name)]
 
 
 _ATOMS = (type, types.ModuleType, types.FunctionType, str, bytes, int, float, type(None))

@@ -79,11 +79,11 @@ def certify_clearances(plan: Plan, trials: Sequence[Trial], jobs: int = 1) -> Ce
 
 def _certified_clearances(plan: Plan, tracking: float, keys: Sequence[str]) -> list[float]:
     """Return the certified bound of each clearance for a tracking radius, metres."""
-    found = dict.fromkeys(keys, math.inf)
+    bounds = dict.fromkeys(keys, math.inf)
     for family in families(plan, tracking):
-        if family.kind.flown in found:
-            found[family.kind.flown] = min(moment.distance for moment in moments_of(family))
-    return list(found.values())
+        if family.kind.flown in bounds:
+            bounds[family.kind.flown] = min(moment.distance for moment in moments_of(family))
+    return list(bounds.values())
 
 
 def below_certificate(trials: Sequence[Trial], certified: CertifiedClearances) -> list[int]:
@@ -215,8 +215,8 @@ def _distances(trials: Sequence[Trial], name: str) -> dict[str, Any]:
     return _distribution([trial.distances[name] for trial in trials])
 
 
-def _distribution(found: Iterable[float | None]) -> dict[str, Any]:
-    values = np.sort([value for value in found if value is not None])
+def _distribution(samples: Iterable[float | None]) -> dict[str, Any]:
+    values = np.sort([value for value in samples if value is not None])
     if not len(values):
         return {"count": 0}
     return {

@@ -100,15 +100,15 @@ def free_space(
     update(state, 0, len(team.lengths), model)
     own = missed_by(state, group, np.inf, model)
     size = min(lattice.numbers.size, _MOST)
-    found = _Found(
+    places = _Found(
         np.empty((size, 3), dtype=np.int64),
         np.zeros(size, dtype=np.int64),
         np.zeros(size, dtype=np.int64),
         np.empty(size),
     )
-    count = _flood(state, group, lattice, KEPT - missed + own, model, found)
-    offsets: Floats = spacing * (found.cells[:count] - lattice.home).astype(np.float64)
-    steps, before, tangles = found.steps[:count], found.before[:count], found.tangles[:count]
+    count = _flood(state, group, lattice, KEPT - missed + own, model, places)
+    offsets: Floats = spacing * (places.cells[:count] - lattice.home).astype(np.float64)
+    steps, before, tangles = places.steps[:count], places.before[:count], places.tangles[:count]
     return FreeSpace(positions, group, offsets, steps, before, tangles)
 
 
@@ -143,7 +143,7 @@ def _flood(
     lattice: _Lattice,
     allowed: float,
     model: PenaltyModel,
-    found: _Found,
+    places: _Found,
 ) -> int:
     """Find free displacements from 0 on, the nearest first, until memory is full; return how many.
 
@@ -157,19 +157,19 @@ def _flood(
     others = crossed(team, 0, len(team.lengths)) - crossed(team, first, last)
     numbers, home = lattice.numbers, lattice.home
     numbers[home[0], home[1], home[2]] = 0
-    found.cells[0] = home
+    places.cells[0] = home
     count, seen = 1, 0
     while seen < count:
-        _move(team, group, lattice, found.cells[seen], own)
+        _move(team, group, lattice, places.cells[seen], own)
         update(team, first, last, model)
         missing[:] = resting
         not_ahead(team, first, last, missing)
-        found.tangles[seen] = weighted(others + crossed(team, first, last), missing)
+        places.tangles[seen] = weighted(others + crossed(team, first, last), missing)
         for direction in range(6):
-            if count == len(found.steps):
+            if count == len(places.steps):
                 break
-            cell = found.cells[count]
-            cell[:] = found.cells[seen]
+            cell = places.cells[count]
+            cell[:] = places.cells[seen]
             cell[direction // 2] += 2 * (direction % 2) - 1
             if not _is_unseen(numbers, cell):
                 continue
@@ -180,7 +180,7 @@ def _flood(
             update(team, first, last, model)
             if missed_by(team, group, allowed, model) <= allowed:
                 numbers[cell[0], cell[1], cell[2]] = count
-                found.steps[count], found.before[count] = found.steps[seen] + 1, seen
+                places.steps[count], places.before[count] = places.steps[seen] + 1, seen
                 count += 1
         seen += 1
     return count

@@ -48,8 +48,8 @@ def loosened(team: TeamGeometry, positions: Floats) -> Floats:
         total = float(penalty.missed[0] + _STAY * (moved**2).sum())
         return total, 2.0 * (penalty.gradient.ravel() + _STAY * moved)
 
-    found = minimize(cost, start, jac=True, method="L-BFGS-B", options={"maxiter": _ITERATIONS})
-    way = between(positions, found.x.reshape(-1, 3))
+    minimum = minimize(cost, start, jac=True, method="L-BFGS-B", options={"maxiter": _ITERATIONS})
+    way = between(positions, minimum.x.reshape(-1, 3))
     missed = np.flatnonzero(missed_margins(team, way) > KEPT)
     return way[: missed[0]] if len(missed) else way
 
@@ -62,5 +62,5 @@ def between(first: Floats, last: Floats) -> Floats:
     farthest = float(np.linalg.norm(last - first, axis=1).max())
     count = max(int(np.ceil(farthest / _STEP)), 1)
     shares = (np.arange(1, count + 1) / count)[:, None, None]
-    found: Floats = first + shares * (last - first)
-    return found
+    waypoints: Floats = first + shares * (last - first)
+    return waypoints

@@ -151,7 +151,7 @@ def mission_figures(snapshot: Snapshot) -> dict[str, Any]:
         "time_left": _or_unknown(snapshot.time_left),
         "remaining": _or_unknown(snapshot.remaining),
         "landing": _or_unknown(snapshot.landing),
-        **{f"until_{name}": _or_unknown(left) for name, left in snapshot.windows.items()},
+        **{f"until_{name}": _or_unknown(seconds) for name, seconds in snapshot.windows.items()},
     }
 
 

@@ -101,8 +101,8 @@ def log_plan(stream: rr.RecordingStream, plan: Plan) -> None:
         static("plan/path", rr.LineStrips3D([plan.path], radii=0.012, colors=PATH_COLOUR))
     knot = scene.strands(plan.layout.corners, plan.layout.lengths, scene.POINTS_PER_SEGMENT)
     static("plan/knot", rr.LineStrips3D(knot, radii=0.012, colors=PLAN_COLOUR))
-    found = scene.crossings(plan.layout)
-    pairs = np.array([[crossing.lower, crossing.upper] for crossing in found]).reshape(-1, 2, 3)
+    crossings = scene.crossings(plan.layout)
+    pairs = np.array([[crossing.lower, crossing.upper] for crossing in crossings]).reshape(-1, 2, 3)
     static("plan/crossings", rr.LineStrips3D(pairs, radii=0.012, colors=(255, 255, 255)))
     static(
         "plan/crossings/labels",
@@ -110,7 +110,7 @@ def log_plan(stream: rr.RecordingStream, plan: Plan) -> None:
             pairs.mean(axis=1),
             radii=0.02,
             colors=(255, 255, 255),
-            labels=[f"{c.over} over {c.under}: {c.distance:.2f} m" for c in found],
+            labels=[f"{c.over} over {c.under}: {c.distance:.2f} m" for c in crossings],
             show_labels=True,
         ),
     )
@@ -358,11 +358,11 @@ class Recorder:
 
     def _log_tightest(self, snapshot: Snapshot) -> None:
         aloft = self._plan.phase("fold").start <= snapshot.mission_time
-        found = scene.closest_strands(self._strips) if aloft and self._gripped.all() else None
-        if found is None:
+        closest = scene.closest_strands(self._strips) if aloft and self._gripped.all() else None
+        if closest is None:
             self._stream.log("flight/tightest", rr.Clear(recursive=False))
             return
-        distance, ends = found
+        distance, ends = closest
         distance -= self._plan.mission.cable.diameter
         line = rr.LineStrips3D(
             [ends], radii=0.02, colors=(255, 90, 90), labels=f"{distance:.2f} m", show_labels=True

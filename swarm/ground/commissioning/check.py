@@ -294,7 +294,7 @@ class Auditor:
 
 def _fetched(vehicles: Iterable[Vehicle]) -> tuple[int, int]:
     parameters = [vehicle.parameters for vehicle in vehicles]
-    return sum(one.received for one in parameters), sum(one.total for one in parameters)
+    return sum(each.received for each in parameters), sum(each.total for each in parameters)
 
 
 def _set(vehicles: Iterable[Vehicle], number: int) -> tuple[int, int]:
@@ -318,7 +318,7 @@ def save_parameters(folder: Path, audits: Sequence[VehicleAudit]) -> None:
     """Save parameters and fences in a folder, a JSON file for each vehicle whose were all read."""
     below = folder / "parameters"
     below.mkdir(parents=True, exist_ok=True)
-    for audit in (one for one in audits if not one.unread):
+    for audit in (vehicle for vehicle in audits if not vehicle.unread):
         text = json.dumps(dict(sorted(audit.parameters.items())), indent=1)
         (below / f"{audit.system}.json").write_text(text, encoding="utf-8")
     fences = folder / "fences"

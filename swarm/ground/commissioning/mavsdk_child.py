@@ -67,16 +67,16 @@ def discovered(ports: Mapping[int, int], source: tuple[int, int]) -> Iterator[di
     with Mavsdk(Configuration.create_manual(*source, False)) as mavsdk:
         for port in ports.values():
             mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
-        found: dict[int, Any] = {}
+        handles: dict[int, Any] = {}
 
         def all_found() -> bool:
-            found.update({s.get_system_id(): s for s in mavsdk.get_systems()})
-            return found.keys() >= ports.keys()
+            handles.update({s.get_system_id(): s for s in mavsdk.get_systems()})
+            return handles.keys() >= ports.keys()
 
         if not _wait(all_found, DISCOVERY_TIMEOUT):
-            missing = ", ".join(str(s) for s in sorted(ports.keys() - found.keys()))
+            missing = ", ".join(str(s) for s in sorted(ports.keys() - handles.keys()))
             raise NotFoundError(f"not found by MAVSDK: system {missing}")
-        yield {system: found[system] for system in ports}
+        yield {system: handles[system] for system in ports}
 
 
 @cache
@@ -127,12 +127,12 @@ def _firmware(handle: Any) -> str | None:
 def _arming_problems(handle: Any) -> tuple[str, ...]:
     """Return the problems of PX4's health and arming checks; other firmware has no such report."""
     with suppress(MavsdkError):
-        found = Events(handle).get_health_and_arming_checks_report()
+        checks = Events(handle).get_health_and_arming_checks_report()
         return tuple(
             printable(
                 f"{problem.message}{': ' + problem.description if problem.description else ''}"
             )
-            for problem in found.all_problems
+            for problem in checks.all_problems
         )
     return ()
 
@@ -169,7 +169,7 @@ class LogDownloader:
         except LogFilesError as error:
             self._done(system, problem=_problem(error.result))
             return
-        entry = max(entries, key=lambda one: (one.date, one.id), default=None)
+        entry = max(entries, key=lambda log: (log.date, log.id), default=None)
         if entry is None:
             self._done(system, problem=_problem(LogFilesResult.NO_LOGFILES))
             return

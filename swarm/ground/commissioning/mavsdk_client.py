@@ -65,28 +65,28 @@ def vehicle_reports(
     Blocks; ``on_report`` is called for each vehicle. Raises :class:`VehicleError` if vehicles are
     not found, or if in every attempt the process ends or sends nothing for ``timeout`` seconds.
     """
-    found: dict[int, VehicleReport] = {}
+    reports: dict[int, VehicleReport] = {}
 
     def handle(message: tuple[Any, ...]) -> None:
         _, system, fields = message
-        found[system] = VehicleReport(**fields)
+        reports[system] = VehicleReport(**fields)
         on_report(system)
 
     for remaining in range(ATTEMPTS - 1, -1, -1):
-        missing = {system: port for system, port in ports.items() if system not in found}
+        missing = {system: port for system, port in ports.items() if system not in reports}
         try:
             request = ("report", {"ports": missing, "source": _SOURCE})
-            _request(request, handle, timeout, partial(_complete, found, ports))
-            return found
+            _request(request, handle, timeout, partial(_complete, reports, ports))
+            return reports
         except MissingError:
             if not remaining:
                 raise
         except ChildError as error:
             if not remaining:
-                names = ", ".join(str(s) for s in sorted(ports.keys() - found.keys()))
+                names = ", ".join(str(s) for s in sorted(ports.keys() - reports.keys()))
                 text = f"MAVSDK failed in {ATTEMPTS} attempts of {ATTEMPTS} for system {names}"
                 raise VehicleError(f"{text}: {error}") from None
-    return found
+    return reports
 
 
 def newest_logs(
@@ -103,7 +103,7 @@ def newest_logs(
     next vehicle follows. Ends early once ``cancelled`` returns True. Raises :class:`VehicleError`
     if vehicles are not found in three searches or ``folder`` cannot be written.
     """
-    found: dict[int, LogDownload] = {}
+    logs: dict[int, LogDownload] = {}
     failures, searches = dict.fromkeys(ports, 0), 0
 
     def handle(message: tuple[Any, ...]) -> None:
@@ -111,37 +111,37 @@ def newest_logs(
         if kind == "share":
             on_share(system, *fields)
         else:
-            found[system] = LogDownload(system, *fields)
+            logs[system] = LogDownload(system, *fields)
 
-    while not cancelled() and (missing := [s for s in ports if s not in found]):
+    while not cancelled() and (missing := [s for s in ports if s not in logs]):
         remaining = {system: ports[system] for system in missing}
         request = ("logs", (remaining, _SOURCE, suffixes, folder, timeout))
         try:
-            complete = partial(_complete, found, ports)
+            complete = partial(_complete, logs, ports)
             _request(request, handle, TIMEOUT + timeout, complete, cancelled)
         except MissingError:
             searches += 1
             if searches == ATTEMPTS and not cancelled():
                 raise
         except ChildError as error:
-            current = next(system for system in missing if system not in found)
+            current = next(system for system in missing if system not in logs)
             failures[current] += 1
             if failures[current] == ATTEMPTS:
                 text = f"MAVSDK failed in {ATTEMPTS} attempts of {ATTEMPTS}: {error}"
-                found[current] = LogDownload(current, None, problem=text)
+                logs[current] = LogDownload(current, None, problem=text)
         finally:
             for system in missing:
                 for part in folder.glob(f"{system}-*{suffixes[system]}.part"):
                     part.unlink(missing_ok=True)
-    return found
+    return logs
 
 
 class MissingError(VehicleError):
     """MAVSDK did not find vehicles that send on the links; another attempt may find them."""
 
 
-def _complete(found: Mapping[int, object], required: Mapping[int, object]) -> bool:
-    return found.keys() >= required.keys()
+def _complete(received: Mapping[int, object], required: Mapping[int, object]) -> bool:
+    return received.keys() >= required.keys()
 
 
 def _request(

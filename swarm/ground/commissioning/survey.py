@@ -200,11 +200,11 @@ class _Download:
                 system: _SUFFIX.get(vehicle.autopilot.name if vehicle.autopilot else "", ".log")
                 for system, vehicle in vehicles.items()
             }
-            found = newest_logs(
+            downloads = newest_logs(
                 ports, suffixes, self.folder, self.timeout, self.progress, self._any_armed
             )
             self._refuse_armed()
-            logs += found.values()
+            logs += downloads.values()
         relay.closed = True
         return tuple(sorted(logs, key=lambda log: log.system))
 
