@@ -690,17 +690,19 @@ class ArduPilot(Autopilot):
 
     def _watch_battery(self) -> None:
         v, p = self.v, self.v.parameters
-        left = v.charge * p["BATT_CAPACITY"]
+        capacity = p["BATT_CAPACITY"]
+        remaining = v.charge * capacity
         levels = (("LOW", "low"), ("CRT", "critical"))
         for level, (key, word) in enumerate(levels, start=1):
             volts, charge = p[f"BATT_{key}_VOLT"], p[f"BATT_{key}_MAH"]
-            if v.voltage >= volts and left >= charge:
+            if v.voltage >= volts and remaining >= charge:
                 self.battery_low_at[level] = math.inf
                 continue
             self.battery_low_at[level] = since = min(v.now, self.battery_low_at[level])
             if level > self.battery_level and v.now - since >= p["BATT_LOW_TIMER"]:
                 self.battery_level = level
-                v.text(WARNING, f"Battery 1 is {word} {v.voltage:.2f}V used {5000 - left:.0f} mAh")
+                used = f"used {capacity - remaining:.0f} mAh"
+                v.text(WARNING, f"Battery 1 is {word} {v.voltage:.2f}V {used}")
                 if not v.landed:
                     v.text(WARNING, "Battery Failsafe")
                 action = BATTERY.get(p.integer(f"BATT_FS_{key}_ACT"))

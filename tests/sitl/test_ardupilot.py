@@ -242,8 +242,15 @@ def test_a_low_battery_acts_after_its_timer(action: int) -> None:
             1, 1, b"SIM_BATT_VOLTAGE", 10.2, dialect.MAV_PARAM_TYPE_REAL32
         ),
     )
+    ground.send(
+        1,
+        dialect.MAVLink_param_set_message(
+            1, 1, b"BATT_CAPACITY", 3000.0, dialect.MAV_PARAM_TYPE_INT32
+        ),
+    )
     ground.run(8.0)
     assert not [text for text in ground.texts(1) if "Battery 1 is low" in text]
     ground.run(4.0)
-    assert [text for text in ground.texts(1) if "Battery 1 is low" in text]
+    (text,) = [text for text in ground.texts(1) if "Battery 1 is low" in text]
+    assert 0.0 <= float(text.split()[-2]) <= 3000.0, text
     assert ground.mode(1) == (9 if action else 4)
