@@ -242,13 +242,15 @@ class _Client:
     """A client of the control socket; ``lines`` wait to be sent.
 
     ``account`` is its account where that is not ours; ``follows`` says whether it gets snapshots
-    and events, ``watches`` whether it is a screen.
+    and events, ``asked`` whether it waits for the first snapshot, ``watches`` whether it is a
+    screen.
     """
 
     console: OperatorConsole
     received: bytes = b""
     account: str = ""
     follows: bool = False
+    asked: bool = False
     watches: bool = False
     lines: deque[bytes] = field(default_factory=deque)
 
@@ -299,11 +301,16 @@ class ControlSocket:
             self._checked = screen_line(item)
         else:
             self._snapshot = item
-            watching = [client for client in watching if len(client.lines) < _MOST_WAITING]
+            watching = [
+                client
+                for client in self._clients.values()
+                if client.asked or (client.follows and len(client.lines) < _MOST_WAITING)
+            ]
         if watching:
             line = screen_line(item)
             for client in watching:
                 client.lines.append(line)
+                client.asked = client.asked and not isinstance(item, Snapshot)
 
     def poll(self) -> None:
         """Accept clients, answer the lines that have arrived, and send what waits."""
@@ -356,6 +363,8 @@ class ControlSocket:
             self._show_latest(client)
 
     def _show_latest(self, client: _Client) -> None:
+        """Send the latest snapshot, or as soon as there is one."""
+        client.asked = self._snapshot is None
         if self._snapshot is not None:
             client.lines.append(screen_line(self._snapshot))
 

@@ -374,6 +374,23 @@ def test_the_number_that_confirms_kill_can_be_cancelled(flight, console):
     assert flight.requests == []
 
 
+def test_a_screen_that_comes_before_the_first_snapshot_gets_that(flight, tmp_path):
+    path = tmp_path / "control"
+    control = ControlSocket(path, lambda: OperatorConsole(flight, dict))
+    with socket.socket(socket.AF_UNIX) as client:
+        client.connect(str(path))
+        client.settimeout(5.0)
+        client.sendall(b"snapshot\n")
+        control.poll()
+        for _ in range(2):
+            control.publish(SNAPSHOT)
+            control.poll()
+        control.close()
+        with client.makefile("rb") as lines:
+            (line,) = lines.readlines()  # once for one request
+        assert_same(read_screen_line(line), SNAPSHOT)
+
+
 def test_the_console_is_a_screen_while_somebody_looks_at_it(flight, tmp_path):
     path = tmp_path / "control"
     control = ControlSocket(path, lambda: OperatorConsole(flight, dict))
