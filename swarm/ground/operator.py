@@ -306,11 +306,12 @@ class ControlSocket:
                 for client in self._clients.values()
                 if client.asked or (client.follows and len(client.lines) < _MOST_WAITING)
             ]
+            for client in watching:
+                client.asked = False
         if watching:
             line = screen_line(item)
             for client in watching:
                 client.lines.append(line)
-                client.asked = client.asked and not isinstance(item, Snapshot)
 
     def poll(self) -> None:
         """Accept clients, answer the lines that have arrived, and send what waits."""

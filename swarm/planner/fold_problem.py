@@ -212,15 +212,14 @@ class Part(NamedTuple):
 class Squares(NamedTuple):
     """Derivatives of the cost (:func:`below`) of a vector that a ``pair`` of vehicles moves.
 
-    Its Gauss-Newton matrix is the sum of the squares of ``rows`` (t, 1 + c, k·3), by the control
-    points of each part with its sign; the first rows of all parts together are one. ``gradient``
-    and ``mixed`` (2, k, 3) are by the control points of each vehicle; they, ``by_duration`` and
-    ``twice`` are as in :class:`Slopes`.
+    Its Gauss-Newton matrix is the sum of the squares of ``rows``: of each part its sign, and
+    (t, 1 + c, k·3) by its control points; the first rows of all parts together are one.
+    ``gradient`` and ``mixed`` (2, k, 3) are by the control points of each vehicle; they,
+    ``by_duration`` and ``twice`` are as in :class:`Slopes`.
     """
 
     pair: tuple[int, int]
-    signs: tuple[float, ...]
-    rows: tuple[Floats, ...]
+    rows: tuple[tuple[float, Floats], ...]
     gradient: Floats
     mixed: Floats
     by_duration: float
@@ -231,10 +230,10 @@ class Squares(NamedTuple):
         first, second = (slice(3 * i, 3 * i + 3) for i in self.pair)
         shown = [
             rows @ (sign * vector[:, first] + vector[:, second]).reshape(-1)
-            for sign, rows in zip(self.signs, self.rows, strict=True)
+            for sign, rows in self.rows
         ]
         together = np.sum([each[:, 0] for each in shown], axis=0)
-        for sign, rows, each in zip(self.signs, self.rows, shown, strict=True):
+        for (sign, rows), each in zip(self.rows, shown, strict=True):
             each[:, 0] = together
             moved = np.tensordot(each, rows, 2).reshape(-1, 3)
             result[:, first] += sign * moved
@@ -245,8 +244,8 @@ class Squares(NamedTuple):
         the rows from a moment on."""
         matrix = np.zeros((2, 2, 3 * (first.stop - first.start), 3 * (last.stop - last.start)))
         left, right = (slice(3 * part.start, 3 * part.stop) for part in (first, last))
-        for p, (sign, rows) in enumerate(zip(self.signs, self.rows, strict=True)):
-            for q, (other, others) in enumerate(zip(self.signs, self.rows, strict=True)):
+        for p, (sign, rows) in enumerate(self.rows):
+            for q, (other, others) in enumerate(self.rows):
                 if p == q:
                     each = here = rows[after:].reshape(-1, rows.shape[2])
                 else:
@@ -310,6 +309,14 @@ def _add_poses(slopes: Slopes, compared: _Compared) -> None:
         slopes.by_duration += float((by.gradient * longer).sum())
         gather(splines, pushed, slopes.mixed)
         slopes.twice += float((pushed * longer).sum())
+
+
+def _chosen(alone: npt.NDArray[np.bool_], lost: Any, team: Any) -> Any:
+    """Return values (s·w, n, …) of poses: for vehicles that are ``alone`` (w, n) those of ``lost``
+    (s, n, …), for the others those of the ``team`` (s, n, …)."""
+    here = alone.reshape(*alone.shape, *(1,) * (lost.ndim - 2))
+    values = np.where(here, lost[:, None], team[:, None])
+    return values.reshape(-1, *values.shape[2:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -562,9 +569,7 @@ class Problem:
 
             def moved(now: slice) -> _Moved:
                 def each(lost: Any, team: Any) -> Any:
-                    here = alone.reshape(*alone.shape, *(1,) * (lost.ndim - 2))
-                    values = np.where(here, lost[now, None], team[now, None])
-                    return values.reshape(-1, *values.shape[2:])
+                    return _chosen(alone, lost[now], team[now])
 
                 def moved_by() -> tuple[Splines, Floats]:
                     lost_shares = (
@@ -840,18 +845,15 @@ def below(
         rows[:, 0] = steep[:, None] * toward
         rows[:, 1:] = scaled[:, None, None] * part.by
         crossed = np.column_stack([steep * longer, scaled[:, None] * part.longer])
-        all_rows.append(rows)
+        all_rows.append((part.sign, rows))
         twice += float((crossed[:, 1:] ** 2).sum())
         for total, product in (
             (gradient, slope @ toward), (mixed, crossed.reshape(-1) @ rows.reshape(-1, size))
         ):  # fmt: skip
             by_ends = product.reshape(-1, 3)
             total += [part.sign * by_ends, by_ends]
-    signs = tuple(part.sign for part in parts)
     by_duration = float(slope @ longer)
-    return float(value.sum()), Squares(
-        pair, signs, tuple(all_rows), gradient, mixed, by_duration, twice
-    )
+    return float(value.sum()), Squares(pair, tuple(all_rows), gradient, mixed, by_duration, twice)
 
 
 def localised(reach: int) -> Floats:

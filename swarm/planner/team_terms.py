@@ -405,8 +405,9 @@ def _moment(
         for j in range(i + 1, strands):
             if only < 0 or only in (i, i + 1, j, j + 1):
                 record.strands[at.row, i, j], record.distances[at.row, i, j] = 0.0, 9.0
-                if _gap(memory.boxes, i, j) <= needs.strands[at.row, i, j] + at.range:
-                    cost += _strands(at, i, j, place, team, needs, record, memory, derivatives)
+                need = needs.strands[at.row, i, j]
+                if _gap(memory.boxes, i, j) <= need + at.range:
+                    cost += _strands(at, i, j, need, place, team, record, memory, derivatives)
     for i in range(strands + 1):
         if only < 0 or only == i:
             cost += _within_walls(at, i, place, team, needs, record, derivatives)
@@ -417,9 +418,11 @@ def _moment(
             if only < 0 or only in (i, j, j + 1):
                 record.bodies[at.row, i, j] = 0.0
                 own = i in (j, j + 1)
-                reach = _DISC + _DISC_RANGE if own else needs.bodies[at.row, i, j] + at.range
-                if not _outside(place[i], team.offset, memory.boxes[j], reach):
-                    cost += _bodies(at, i, j, place, team, needs, record, memory, derivatives)
+                need = _DISC if own else needs.bodies[at.row, i, j]
+                end = _DISC_RANGE if own else at.range
+                if not _outside(place[i], team.offset, memory.boxes[j], need + end):
+                    bounds = need, end
+                    cost += _bodies(at, i, j, bounds, place, team, record, memory, derivatives)
     return cost
 
 
@@ -429,19 +432,18 @@ def _are_near(
 ) -> bool:
     """Return whether two strands may be nearer than ``reach``; then both are written."""
     for k in (i, j):
+        _require_strand(k, at, place, team, record, memory)
         if _gap(memory.boxes, i, j) > reach:
             return False
-        _require_strand(k, at, place, team, record, memory)
-    return bool(_gap(memory.boxes, i, j) <= reach)
+    return True
 
 
 @inner
 def _strands(
-    at: _At, i: int, j: int, place: Floats, team: Team, needs: Needs, record: Found, memory: Memory,
+    at: _At, i: int, j: int, need: float, place: Floats, team: Team, record: Found, memory: Memory,
     derivatives: Derivatives,
 ) -> float:  # fmt: skip
     """Cost of two strands: of all pairs of their pieces that are near, but beside a shared grip."""
-    need = needs.strands[at.row, i, j]
     if not _are_near(i, j, need + at.range, at, place, team, record, memory):
         return 0.0
     first, second = memory.points[i], memory.points[j]
@@ -540,13 +542,14 @@ def _outside(point: Floats, above: float, box: Floats, reach: float) -> bool:
 
 @inner
 def _bodies(
-    at: _At, i: int, j: int, place: Floats, team: Team, needs: Needs, record: Found, memory: Memory,
-    derivatives: Derivatives,
+    at: _At, i: int, j: int, bounds: tuple[float, float], place: Floats, team: Team, record: Found,
+    memory: Memory, derivatives: Derivatives,
 ) -> float:  # fmt: skip
-    """Cost of a vehicle's body and a strand, or of its rotor disc and one that it holds."""
-    own = i in (j, j + 1)
-    need = _DISC if own else needs.bodies[at.row, i, j]
-    end = _DISC_RANGE if own else at.range
+    """Cost of a vehicle's body and a strand, or of its rotor disc and one that it holds.
+
+    ``bounds`` are the need, and the slack at which the barrier ends.
+    """
+    need, end = bounds
     x, y, z = place[i, 0], place[i, 1], place[i, 2] + team.offset
     reach = need + end
     _require_strand(j, at, place, team, record, memory)
