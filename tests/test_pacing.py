@@ -114,7 +114,7 @@ def test_a_slowed_motion_is_as_smooth_and_ends_at_the_same_place() -> None:
 @pytest.mark.slow
 def test_the_usual_limit_of_the_swing_gives_way_to_the_endurance() -> None:
     """The plan is slowed as far as the endurance allows; a limit in metres is kept."""
-    timed = timed_for_losses(make_plan(mission_for_knot("4_1")))
+    timed = timed_for_losses(make_plan(mission_for_knot("4_1", ["vehicles.max_acceleration=3.0"])))
     fast, slow = (one.plan.flight_duration for one in (timed, slowed_for_swing(timed)))
     assert slow > fast + 2.0
 
