@@ -252,7 +252,7 @@ def test_a_shorter_fold_is_cleared_and_needs_no_slower_clock() -> None:
     assert after.knot == before.knot
     sinking = deepest_sinking(after)
     assert sinking is None or sinking.depth <= after.mission.vehicles.tracking
-    assert PlanChecks.of(after).rates_ahead[1].min() == 1.0
+    assert PlanChecks.of(after).limits_ahead.rates.min() == 1.0
     assert any(note.startswith("found a fold of ") for note in after.notes)
 
 

@@ -200,16 +200,10 @@ class PlanChecks:
         return begun.near_pairs_after_urgent_stops(ordinary=certified and not known)
 
     @cached_property
-    def _limits_ahead(self) -> RateLimits:
+    def limits_ahead(self) -> RateLimits:
+        """The limits of a clock that runs on, for stream losses, in half of the time that their
+        certificate takes."""
         return limits_ahead(self.plan, _DEFAULT)
-
-    @property
-    def rates_ahead(self) -> tuple[Floats, Floats]:
-        """Times (k,) and rates (k,) of the certificate of stream losses, for a clock that runs on.
-
-        In half of its time; none without a fold.
-        """
-        return self._limits_ahead.times, self._limits_ahead.rates
 
     def stream_loss(
         self,
@@ -218,7 +212,7 @@ class PlanChecks:
     ) -> StreamLossCertificate:
         """Return :func:`.certify_stream_loss` of these vehicles."""
         if model not in self._certificates:
-            ahead = self._limits_ahead if model == _DEFAULT else None
+            ahead = (lambda: self.limits_ahead) if model == _DEFAULT else None
             self._certificates[model] = certify_stream_loss(
                 self.plan, model, ahead, progress=progress
             )

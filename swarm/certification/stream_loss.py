@@ -22,6 +22,7 @@ whole box.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -49,7 +50,7 @@ from swarm.jit import compiled, inner
 from swarm.planning import Plan, digest
 from swarm.planning.clock_limits import BANDWIDTH, SMOOTH, ClockLimits, clock_limits
 from swarm.signatures import Floats1, Floats2, Floats3, Floats4, Ints1
-from swarm.threads import side_by_side, usual_threads
+from swarm.threads import both, side_by_side, usual_threads
 
 Floats = npt.NDArray[np.float64]
 
@@ -708,38 +709,48 @@ class StreamLossCertificate:
 def certify_stream_loss(
     plan: Plan,
     model: StreamLossModel = StreamLossModel(),
-    ahead: "RateLimits | None" = None,
+    ahead: "Callable[[], RateLimits] | None" = None,
     *,
     progress: Callable[[float], None] = lambda _: None,
 ) -> StreamLossCertificate:
     """Return the certificate of stream losses, of all or of single vehicles, during the fold.
 
-    ``ahead`` are its :func:`limits_ahead`, if already computed. ``progress`` is called with the
+    ``ahead`` returns its :func:`limits_ahead`, where they are kept. ``progress`` is called with the
     share of the fold's times, in both directions of the clock, for which the rate is known.
     """
-    name, fold = digest(plan), _fold(plan)
-    ahead = ahead or limits_ahead(plan, model, lambda share: progress(0.5 * share))
-    times = ahead.times
-    if fold is None:
+    name, fold, shares = digest(plan), _fold(plan), {"ahead": 0.0, "back": 0.0}
+
+    def report(direction: str, share: float) -> None:
+        shares[direction] = share
+        progress(0.5 * sum(shares.values()))
+
+    def limits() -> RateLimits:
+        if ahead is None:
+            return limits_ahead(plan, model, partial(report, "ahead"))
+        on = ahead()
+        report("ahead", 1.0)
+        return on
+
+    if fold is None or not fold[2]:
+        on = limits()
         return StreamLossCertificate(
-            times, times, times, WorstLoss(np.inf, 0.0, 0), times, model, name
-        )
-    start, _, reversible = fold
-    if not reversible:
-        return StreamLossCertificate(
-            times, ahead.rates, np.ones(len(times)), ahead.worst, times[ahead.infeasible], model,
+            on.times, on.rates, np.ones(len(on.times)), on.worst, on.times[on.infeasible], model,
             name,
         )  # fmt: skip
+    times = _times(*fold[:2])
     # mission time t is ``turned`` − t of the reversed motion
     turned = float(plan.motion.times[0] + plan.motion.times[-1])
-    back = _limits_of(
-        replace(plan, motion=reverse(plan.motion)), model, turned - times[::-1], turned - start,
-        lambda share: progress(0.5 + 0.5 * share),
-    )  # fmt: skip
+    turned_plan = replace(plan, motion=reverse(plan.motion))
+    on, back = both(
+        limits,
+        lambda: _limits_of(
+            turned_plan, model, turned - times[::-1], turned - fold[0], partial(report, "back")
+        ),
+    )
     worst = replace(back.worst, time=turned - back.worst.time)
     return StreamLossCertificate(
-        times, ahead.rates, back.rates[::-1], min(ahead.worst, worst, key=lambda loss: loss.margin),
-        times[ahead.infeasible | back.infeasible[::-1]], model, name,
+        times, on.rates, back.rates[::-1], min(on.worst, worst, key=lambda loss: loss.margin),
+        times[on.infeasible | back.infeasible[::-1]], model, name,
     )  # fmt: skip
 
 
@@ -762,9 +773,14 @@ def _fastest(plan: Plan, start: float, end: float) -> float:
 
 class RateLimits(NamedTuple):
     """Rates (k,) in one direction of the clock at mission times (k,), the worst loss, and which
-    (k,) are infeasible."""
+    (k,) are infeasible.
+
+    ``asked`` (k,) are the rates that margins ask for until the next time and since the one before;
+    ``rates`` those from which the clock can brake in time for all that are asked for later.
+    """
 
     times: Floats
+    asked: Floats
     rates: Floats
     worst: WorstLoss
     infeasible: Flags
@@ -780,9 +796,14 @@ def limits_ahead(
     fold = _fold(plan)
     if fold is None:
         none = np.empty(0)
-        return RateLimits(none, none, WorstLoss(np.inf, 0.0, 0), np.empty(0, dtype=np.bool_))
+        return RateLimits(none, none, none, WorstLoss(np.inf, 0.0, 0), np.empty(0, dtype=np.bool_))
     start, end, _ = fold
-    return _limits_of(plan, model, np.append(np.arange(start, end, STEP), end), end, progress)
+    return _limits_of(plan, model, _times(start, end), end, progress)
+
+
+def _times(start: float, end: float) -> Floats:
+    """Return the mission times of a fold at which rates are limited."""
+    return np.append(np.arange(start, end, STEP), end)
 
 
 def _limits_of(
@@ -798,7 +819,8 @@ def _limits_of(
     unshown = _lower(StreamLossBound(plan, overrun, end), times, rates, lost, progress)
     tightest = int(np.argmin(margins))
     worst = WorstLoss(float(margins[tightest]), float(times[tightest]), int(vehicles[tightest]))
-    return RateLimits(times, _reachable(overrun.limits, times, rates), worst, lost | unshown)
+    reachable = _reachable(overrun.limits, times, rates)
+    return RateLimits(times, rates, reachable, worst, lost | unshown)
 
 
 def _lower(

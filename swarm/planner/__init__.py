@@ -118,13 +118,17 @@ def _shortest(
 ) -> PlanningResult | None:
     """Return the cleared plan with the shortest fold that is found from a ``start``.
 
-    It is as safe as the one ``before`` in all that the certificate states.
+    It is as safe as the one ``before`` in all that the certificate states; where there is none,
+    lost setpoints never slow the clock.
     """
-    best = before
+    best, least_rate = before, 1.0 if before is None else _slowest(before.plan)
 
     def accepted(shorter: Plan) -> bool:
         nonlocal best
         if best is not None and shorter.flight_duration >= best.plan.flight_duration:
+            return False
+        _measure(shorter, None)
+        if _slowest(shorter) < least_rate:
             return False
         again = PlanningResult(shorter, certify(shorter))
         if again.certificate.cleared and _as_safe(again, before):
@@ -144,31 +148,29 @@ def _shortest(
 def _as_safe(again: PlanningResult, before: PlanningResult | None) -> bool:
     """Return whether a cleared plan with another fold is no less safe than one before.
 
-    It holds for the tracking radius, no vehicle sinks farther than that in jets, lost setpoints
-    slow the clock no more, the budget is no shorter, and no check warns that did not before. Where
-    there is none before, the clock is never slowed, and all can soon land at any time.
+    It holds for the tracking radius, no vehicle sinks farther than that in jets, the budget is no
+    shorter, and no check warns that did not before. Where there is none before, all can soon land
+    at any time.
     """
     plan, tracking = again.plan, again.plan.mission.vehicles.tracking
-    sinking, slowest, warned = max(tracking, LEAST_SINKING), 1.0, _warned(again) - {"windows"}
+    sinking, warned = max(tracking, LEAST_SINKING), _warned(again) - {"windows"}
     remaining = 0.0
     if before is not None:
-        sinking = max(sinking, _deepest_sinking(before))
-        slowest, warned = _slowest(before), _warned(before)
+        sinking, warned = max(sinking, _deepest_sinking(before)), _warned(before)
         remaining = min(0.0, least_remaining(before.assessment.budget))
     elif plan.mission.limits.accept_negative_budget:
         remaining = -np.inf
     return bool(
         certified(plan, tracking=tracking)
         and _deepest_sinking(again) <= sinking
-        and _slowest(again) >= slowest
         and least_remaining(again.assessment.budget) >= remaining
         and _warned(again) <= warned
     )
 
 
-def _slowest(result: PlanningResult) -> float:
+def _slowest(plan: Plan) -> float:
     """Return the lowest rate of the clock that lost setpoints ask for."""
-    return float(PlanChecks.of(result.plan).rates_ahead[1].min(initial=1.0))
+    return float(PlanChecks.of(plan).limits_ahead.rates.min(initial=1.0))
 
 
 def _warned(result: PlanningResult) -> set[str]:
@@ -347,12 +349,14 @@ def _certified(paced: PacedPlan, progress: Progress | None) -> PlanningResult:
     Of several timings the last one that is cleared is returned. Where none is, it is the last one
     that is short of nothing but its budget, or else the first.
     """
-    timings = [_measured(paced, progress)]
+    _measure(paced.plan, progress)
+    timings = [paced]
     for _ in range(_RETIMED):
         again = slower(timings[-1])
         if again is None:
             break
-        timings.append(_measured(again, progress))
+        _measure(again.plan, progress)
+        timings.append(again)
     refused: list[PlanningResult] = []
     for again in reversed(timings):
         outcome = PlanningResult(again.plan, certify(again.plan, progress=progress))
@@ -362,8 +366,7 @@ def _certified(paced: PacedPlan, progress: Progress | None) -> PlanningResult:
     return next((outcome for outcome in refused if _certifiable(outcome.assessment)), refused[-1])
 
 
-def _measured(paced: PacedPlan, progress: Progress | None) -> PacedPlan:
-    """Return the plan with its clearances measured, and meanwhile its limits for lost setpoints."""
-    checks = PlanChecks.of(paced.plan)
-    both(lambda: checks.moments(progress), lambda: checks.rates_ahead)
-    return paced
+def _measure(plan: Plan, progress: Progress | None) -> None:
+    """Measure the clearances of a plan, and meanwhile its limits for lost setpoints."""
+    checks = PlanChecks.of(plan)
+    both(lambda: checks.moments(progress), lambda: checks.limits_ahead)

@@ -14,10 +14,9 @@ and damping of the swing, and its correction (:class:`Frozen`).
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
-from itertools import chain
+from functools import cache, cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,20 +31,23 @@ from swarm.planner.team_terms import (
     Derivatives,
     Found,
     Memory,
+    Mode,
     Needs,
     Poses,
     Splines,
+    Sums,
     Team,
     add_clearances,
     add_walls,
-    gather,
     oscillate,
+    oscillate_by_points,
     respond,
     scatter,
     scatter_products,
+    weigh,
 )
 from swarm.planning.shaping import PENDULUM, SETTLING
-from swarm.threads import side_by_side
+from swarm.threads import both
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
@@ -73,10 +75,10 @@ _SMOOTH_PLACE, _SMOOTH_JERK = 1e-3, 1e-3
 
 LOSS_EVERY, _LOSS_RANGE, _LOSS_WEIGHT = 3, 0.3, 0.2
 """Every so many moments a loss of setpoints; metres of slack at which its barriers end, and their
-weight: there are four poses for each vehicle."""
+weight: there are two poses for each vehicle."""
 
 _LOSSES_TOGETHER = 15
-"""Losses that are compared together: four parts for each of two cores, of 60 losses."""
+"""Losses that are compared together: eight parts for each of two cores, of 60 losses."""
 
 _LEAST_LOST, _LEAST_SUNK = 0.01, 0.02
 """Acceleration, m/s², that is lost in a jet at least, and share of the limit by which a vehicle
@@ -108,21 +110,31 @@ class Basis(NamedTuple):
 
 
 @cache
-def _splines(count: int) -> tuple[scipy.interpolate.BSpline, ...]:
-    """Return ``count`` clamped quintic B-splines on 0…1, and their first three derivatives."""
+def _derivatives(count: int) -> Floats:
+    """Return the derivatives (6, pieces, 6) of orders 0 to 5 of the clamped quintic B-splines that
+    are not 0 on each piece between knots on 0…1, at its beginning."""
     inner = np.linspace(0.0, 1.0, count - DEGREE + 1)
     knots = np.concatenate([np.zeros(DEGREE), inner, np.ones(DEGREE)])
     spline = scipy.interpolate.BSpline(knots, np.eye(count), DEGREE)
-    return (spline, *(spline.derivative(order) for order in range(1, 4)))
+    orders = [spline, *(spline.derivative(order) for order in range(1, DEGREE + 1))]
+    places = np.arange(count - DEGREE)[:, None] + np.arange(DEGREE + 1)
+    return np.stack([np.take_along_axis(each(inner[:-1]), places, axis=1) for each in orders])
 
 
 def basis(count: int, shares: Floats) -> Basis:
     """Return ``count`` clamped quintic B-splines on 0…1, with derivatives, at ``shares`` (s,)."""
-    inside = np.clip(shares, 0.0, 1.0 - 1e-12)
-    values = np.stack([spline(inside) for spline in _splines(count)])
-    first = np.minimum((inside * (count - DEGREE)).astype(np.intp), count - DEGREE - 1)
-    places = np.broadcast_to(first[:, None] + np.arange(DEGREE + 1), (4, len(shares), DEGREE + 1))
-    return Basis(values, np.take_along_axis(values, places, axis=2), first)
+    inside, pieces = np.clip(shares, 0.0, 1.0), count - DEGREE
+    first = np.minimum((inside * pieces).astype(np.intp), pieces - 1)
+    orders = np.arange(DEGREE + 1)
+    powers = (inside - first / pieces)[:, None] ** orders / scipy.special.factorial(orders)
+    at_knots = _derivatives(count)[:, first]
+    local = np.stack(
+        [np.einsum("sm,msa->sa", powers[:, : len(orders) - d], at_knots[d:]) for d in range(4)]
+    )
+    values = np.zeros((4, len(shares), count))
+    places = np.broadcast_to(first[:, None] + orders, local.shape)
+    np.put_along_axis(values, places, local, axis=2)
+    return Basis(values, local, first)
 
 
 @dataclass(frozen=True)
@@ -194,18 +206,64 @@ class Slopes:
     pose: Floats = field(default_factory=lambda: np.zeros(4))
     by_pose: Floats = field(default_factory=lambda: np.zeros((4, 4)))
 
+    @staticmethod
+    def zeros(control_points: int, coordinates: int, high: int) -> "Slopes":
+        """Return derivatives of a cost of 0, whose matrix is kept in a band (k·3n, ``high``)."""
+        shape = control_points, coordinates
+        band = np.zeros((control_points * coordinates, high))
+        near = band if high == len(band) else np.zeros_like(band)
+        return Slopes(np.zeros(shape), band, near, [], 0.0, np.zeros(shape), 0.0)
+
+    def zeros_like(self) -> "Slopes":
+        """Return derivatives of a cost of 0, of the same shapes."""
+        control_points, coordinates = self.gradient.shape
+        return Slopes.zeros(control_points, coordinates, self.band.shape[1])
+
+    def add(self, other: "Slopes") -> None:
+        """Add the derivatives of another cost."""
+        self.gradient += other.gradient
+        self.band += other.band
+        if self.near is not self.band:
+            self.near += other.near
+        self.remembered += other.remembered
+        self.by_duration += other.by_duration
+        self.mixed += other.mixed
+        self.twice += other.twice
+
+
+Term = Callable[[Slopes | None], tuple[float, Any]]
+"""Returns a part of the cost and what it shows, and adds its derivatives."""
+
+
+def in_two_sums(terms: Sequence[Term], slopes: Slopes | None) -> list[tuple[float, Any]]:
+    """Return what terms of a cost return; add their derivatives to ``slopes``.
+
+    Every other term adds its own to a second sum, side by side: two, however many cores there are,
+    because the last bits depend on the order.
+    """
+    other = None if slopes is None else slopes.zeros_like()
+
+    def every_other(first: int, to: Slopes | None) -> list[tuple[float, Any]]:
+        return [term(to) for term in terms[first::2]]
+
+    halves = both(partial(every_other, 0, slopes), partial(every_other, 1, other))
+    if slopes is not None and other is not None:
+        slopes.add(other)
+    return [halves[k % 2][k // 2] for k in range(len(terms))]
+
 
 class Part(NamedTuple):
     """Axes of a vector that a pair of vehicles moves: by the control points (k·3) of the second and
     ``sign`` times those of the first.
 
-    ``moved`` (t, c) is the vector at t moments, metres; ``by`` (t, c, k·3) are its derivatives by
-    these control points, and ``longer`` (t, c) by the logarithm of the duration.
+    ``moved`` (t, c) is the vector at t moments, metres; ``rows`` (t, 1 + c, k·3) have its
+    derivatives by these control points, and before them room for that of its size; ``longer``
+    (t, c) are those by the logarithm of the duration.
     """
 
     sign: float
     moved: Floats
-    by: Floats
+    rows: Floats
     longer: Floats
 
 
@@ -282,41 +340,10 @@ class Evaluation:
 
 
 class _Moved(NamedTuple):
-    """Poses of a team, and what gives the splines that move them, and their derivatives (s, n, 3)
-    by the logarithm of the duration."""
+    """Poses of a team, and the splines that move them."""
 
     poses: Poses
-    moved_by: Callable[[], tuple[Splines, Floats]]
-
-
-class _Compared(NamedTuple):
-    """Poses of a team, the cost of their clearances, what they show, and the derivatives."""
-
-    moved: _Moved
-    cost: float
-    found: Found
-    derivatives: Derivatives
-
-
-def _add_poses(slopes: Slopes, compared: _Compared) -> None:
-    """Add the derivatives of poses by control points and the duration."""
-    (splines, longer), by = compared.moved.moved_by(), compared.derivatives
-    longer = longer.reshape(len(longer), -1)
-    gather(splines, by.gradient, slopes.gradient)
-    scatter(splines, 1.0, by.matrix, slopes.band)
-    if longer.any():
-        pushed = np.einsum("sxy,sy->sx", by.matrix, longer)
-        slopes.by_duration += float((by.gradient * longer).sum())
-        gather(splines, pushed, slopes.mixed)
-        slopes.twice += float((pushed * longer).sum())
-
-
-def _chosen(alone: npt.NDArray[np.bool_], lost: Any, team: Any) -> Any:
-    """Return values (s·w, n, …) of poses: for vehicles that are ``alone`` (w, n) those of ``lost``
-    (s, n, …), for the others those of the ``team`` (s, n, …)."""
-    here = alone.reshape(*alone.shape, *(1,) * (lost.ndim - 2))
-    values = np.where(here, lost[:, None], team[:, None])
-    return values.reshape(-1, *values.shape[2:])
+    splines: Splines
 
 
 @dataclass(frozen=True, eq=False)
@@ -425,11 +452,7 @@ class Problem:
         """Return the cost of a motion, and its derivatives."""
         knot = 3 * len(self.folded)
         high = knot * (self._reach(fold.duration, frozen.coasting) + 1)
-        band = np.zeros((self.count * knot, high))
-        near = band if high == len(band) else np.zeros_like(band)
-        slopes = Slopes(
-            np.zeros((self.count, knot)), band, near, [], 0.0, np.zeros((self.count, knot)), 0.0
-        )
+        slopes = Slopes.zeros(self.count, knot, high)
         return self.evaluate(fold, frozen, slopes), slopes
 
     def _reach(self, duration: float, coasting: Coasting | None) -> int:
@@ -443,29 +466,33 @@ class Problem:
 
     def evaluate(self, fold: Fold, frozen: Frozen, slopes: Slopes | None = None) -> Evaluation:
         """Return the cost of a motion; add its derivatives to ``slopes``."""
-        control = self.control(fold)
+        control, soft = self.control(fold), frozen.soft
         place, velocity, acceleration = self._states(control, self.basis, fold.duration)
-        distances, record, missed = self._distances(
-            control, place, velocity, fold.duration, frozen, slopes
-        )
-        motion = sum(
-            self._bounded(order, state, limit, fold.duration, frozen.soft, slopes)
-            for order, state, limit in (
-                (1, velocity, self.limits.speed),
-                (2, acceleration, self.limits.acceleration),
-            )
-        )
-        swung, swings = self._swing(velocity, acceleration, fold.duration, frozen, slopes)
-        sunk, sinking = self._sinking(place, fold.duration, frozen.soft, slopes)
-        smooth = self._smoothness(control.reshape(self.count, -1), fold.duration, slopes)
-        ahead = self._before_fold(fold.pose, frozen, record, slopes)
-        cost = float(distances + motion + swung + sunk + smooth + ahead)
+        strands = len(self.folded) - 1
+        compared = self._to_compare(control, place, velocity, fold.duration, frozen)
+        terms: list[Term] = [
+            *(partial(self._clearances, *each) for each in compared),
+            *(
+                partial(self._swing, i, velocity, acceleration, fold.duration, frozen)
+                for i in range(strands)
+            ),
+            partial(self._bounded, 1, velocity, self.limits.speed, fold.duration, soft),
+            partial(self._bounded, 2, acceleration, self.limits.acceleration, fold.duration, soft),
+            partial(self._sinking, place, fold.duration, soft),
+            partial(self._smoothness, control.reshape(self.count, -1), fold.duration),
+        ]
+        costs, shown = zip(*in_two_sums(terms, slopes), strict=True)
+        records, (speed, acceleration_, sinking, _) = shown[: len(compared)], shown[-4:]
+        swings = np.stack(shown[len(compared) : -4], axis=1)
+        ahead = self._before_fold(fold.pose, frozen, records[0], slopes)
         return Evaluation(
-            cost=cost,
-            found=record,
-            missed_after_losses=missed,
-            speed=float(np.linalg.norm(velocity, axis=2).max()),
-            acceleration=float(np.linalg.norm(acceleration, axis=2).max()),
+            cost=float(sum(costs)) + ahead,
+            found=records[0],
+            missed_after_losses=max(
+                (float(each.missed.max()) for each in records[1:]), default=0.0
+            ),
+            speed=speed,
+            acceleration=acceleration_,
             swing=float(swings.max()),
             swings=swings,
             sinking=sinking,
@@ -492,59 +519,66 @@ class Problem:
         """Return the cost of vehicles and walls before the fold, and note the largest missed need
         at its first moment; add the derivatives."""
         places, by_pose = self.way_to_line(pose)
-        r = len(places)
-        rows, every = np.zeros(r, dtype=np.intp), np.full(r, -1)
-        poses = Poses(places[:, None], rows, every, RANGE, 1.0, frozen.soft * RELAXED)
-        by = Derivatives(np.zeros((r, 3)), np.zeros((r, 3, 3)), np.empty((4, 3)))
-        cost = add_walls(poses, self.team, frozen.needs, record, by, slopes is not None)
+        gradient, matrix = np.zeros((len(places), 3)), np.zeros((len(places), 3, 3))
+        relaxed = frozen.soft * RELAXED
+        cost = add_walls(
+            places, self.team, frozen.needs, record, relaxed, Derivatives.zeros(1, 0), gradient,
+            matrix,
+        )  # fmt: skip
         if slopes is not None:
-            slopes.pose += np.einsum("rx,rxa->a", by.gradient, by_pose)
-            slopes.by_pose += np.einsum("rxa,rxy,ryb->ab", by_pose, by.matrix, by_pose)
+            slopes.pose += np.einsum("rx,rxa->a", gradient, by_pose)
+            slopes.by_pose += np.einsum("rxa,rxy,ryb->ab", by_pose, matrix, by_pose)
         return cost
 
-    def _distances(
-        self, control: Floats, place: Floats, velocity: Floats, duration: float, frozen: Frozen,
-        slopes: Slopes | None,
-    ) -> tuple[float, Found, float]:  # fmt: skip
-        """Return the cost of all distances, what the motion itself shows, and the largest missed
-        need after losses of setpoints, metres; add the derivatives."""
+    def _to_compare(
+        self, control: Floats, place: Floats, velocity: Floats, duration: float, frozen: Frozen
+    ) -> list[tuple[_Moved, Team, Needs]]:
+        """Return the poses of the motion and those after losses of setpoints, with their needs."""
         coasting = frozen.coasting
-        planned = self._planned(place, frozen.soft), self.team, frozen.needs
-        lost: Iterator[_Moved] = iter(())
+        compared = [(self._planned(place, frozen.soft), self.team, frozen.needs)]
         if coasting is not None:
             lost = self._lost(control, place, velocity, duration, coasting, frozen.soft)
+            compared += [(moved, self.after, coasting.needs) for moved in lost]
+        return compared
 
-        def compared(task: tuple[_Moved, Team, Needs]) -> _Compared:
-            return self._compared(*task, derive=slopes is not None)
-
-        tasks = ((moved, self.after, coasting.needs) for moved in lost if coasting is not None)
-        total, shown = 0.0, []
-        for comparison in side_by_side(compared, chain([planned], tasks)):
-            total += comparison.cost
-            shown.append(comparison.found)
-            if slopes is not None:
-                _add_poses(slopes, comparison)
-        after = max((float(record.missed.max()) for record in shown[1:]), default=0.0)
-        return total, shown[0], after
+    def _clearances(
+        self, moved: _Moved, team: Team, needs: Needs, slopes: Slopes | None
+    ) -> tuple[float, Found]:
+        """Return the cost of all clearances of poses, and what they show; add the derivatives."""
+        n, m, rows = len(self.folded), len(self.folded) - 1, len(needs.floor)
+        record = Found(
+            np.zeros((rows, m, m)), np.zeros((rows, n, m)), np.zeros((rows, m)),
+            np.zeros((rows, m)), np.zeros((rows, m, m)), np.zeros((rows, m)), np.zeros(rows),
+        )  # fmt: skip
+        memory = Memory(
+            np.empty((n, 3)), np.empty(n, dtype=np.int64), np.empty((m, _PIECES + 1, 3)),
+            np.empty((m, _PIECES + 1, 5)), np.empty((m, 6)), np.empty(m),
+            np.empty(m, dtype=np.int64),
+        )  # fmt: skip
+        to = slopes or Slopes.zeros(0, 0, 0)
+        by_duration = np.zeros(2)
+        cost = add_clearances(
+            moved.poses, team, needs, record, memory, moved.splines,
+            Sums(to.gradient, to.band, to.mixed, by_duration), Derivatives.zeros(n, DEGREE + 1),
+            Derivatives.zeros(n, DEGREE + 1), slopes is not None,
+        )  # fmt: skip
+        to.by_duration += float(by_duration[0])
+        to.twice += float(by_duration[1])
+        return cost, record
 
     def shown_by(self, places: Floats, needs: Needs) -> Found:
         """Return what poses (s, n, 3) show with their needs; at most as many as the moments."""
-        planned = self._planned(places, 1.0)
-        return self._compared(planned, self.team, needs, derive=False).found
+        return self._clearances(self._planned(places, 1.0), self.team, needs, None)[1]
 
     def _planned(self, place: Floats, soft: float) -> _Moved:
         """Return the poses of the motion itself."""
-        s = len(place)
-        poses = Poses(place, np.arange(s), np.full(s, -1), RANGE, 1.0, soft * RELAXED)
-        return _Moved(poses, lambda: (self._splines(0, s), np.zeros_like(place)))
-
-    def _splines(self, order: int, moments: int) -> Splines:
-        """Return a derivative of the splines at the first moments, the same for all vehicles."""
-        at, n = self.basis, len(self.folded)
-        shape = moments, n, DEGREE + 1
-        return Splines(
-            np.ascontiguousarray(np.broadcast_to(at.local[order][:moments, None], shape)),
-            np.ascontiguousarray(np.broadcast_to(at.first[:moments, None], shape[:2])),
+        s, n, _ = place.shape
+        at, still, all_ = self.basis, np.zeros_like(place), np.array([-1])
+        shares, first = at.local[0, :s], at.first[:s]
+        of_each = np.ascontiguousarray(np.broadcast_to(shares[:, None], (s, n, DEGREE + 1)))
+        return _Moved(
+            Poses(place, place, all_, np.arange(s), RANGE, 1.0, soft * RELAXED),
+            Splines(shares, first, still, of_each, first, still),
         )
 
     def _lost(
@@ -553,80 +587,50 @@ class Problem:
     ) -> Iterator[_Moved]:  # fmt: skip
         """Yield the poses after losses of setpoints, of all vehicles and of each one.
 
-        When they have moved half of what they do, and all; the others advance meanwhile as little
-        and as far as they may.
+        When they have moved as far as they do; the others advance meanwhile as little and as far as
+        they may. On the way there they come no nearer that a certificate was seen to ask for it
+        (results of plans, optimised folds).
         """
-        n, at, some = len(self.folded), self.basis, slice(0, None, LOSS_EVERY)
-        count = len(self.shares[some])
-
-        def after(share: float, who: Ints, advance: Floats) -> Iterator[_Moved]:
-            seconds, ahead = share * coasting.lost, self.shares[some] + advance / duration
-            lost = place[some] + seconds[:, None] * velocity[some]
+        at, some, every = self.basis, slice(0, None, LOSS_EVERY), np.arange(len(self.folded))
+        seconds, rows = coasting.lost, np.arange(len(coasting.others))
+        lost, lost_longer = (
+            place[some] + seconds[:, None] * velocity[some], -seconds[:, None] * velocity[some]
+        )  # fmt: skip
+        lost_shares = (
+            at.local[0][some, None] + (seconds / duration)[:, None] * at.local[1][some, None]
+        )
+        lost_first = np.ascontiguousarray(at.first[some])
+        least = np.full(len(rows), min(coasting.silence, float(seconds.min())))
+        for who, advance in ((np.append(-1, every), least), (every, coasting.others)):
+            ahead = self.shares[some] + advance / duration
             there = basis(self.count, ahead)
             team, moving, _ = self._states(control, there, duration)
-            # Without setpoints: the vehicle of a pose, or all.
-            alone = (who[:, None] == np.arange(n)) | (who[:, None] < 0)
-
-            def moved(now: slice) -> _Moved:
-                def each(lost: Any, team: Any) -> Any:
-                    return _chosen(alone, lost[now], team[now])
-
-                def moved_by() -> tuple[Splines, Floats]:
-                    lost_shares = (
-                        at.local[0][some, None]
-                        + (seconds / duration)[:, None] * at.local[1][some, None]
-                    )
-                    team_shares = np.broadcast_to(there.local[0][:, None], lost_shares.shape)
-                    first = np.broadcast_to(at.first[some, None], (count, n))
-                    team_first = np.broadcast_to(there.first[:, None], (count, n))
-                    lost_longer = -seconds[:, None] * velocity[some]
-                    inside = (ahead < 1.0)[:, None, None]
-                    team_longer = -advance[:, None, None] * inside * moving
-                    splines = Splines(each(lost_shares, team_shares), each(first, team_first))
-                    return splines, each(lost_longer, team_longer)
-
-                rows = np.arange(count)[now]
-                poses = Poses(
-                    each(lost, team), np.repeat(rows, len(who)), np.tile(who, len(rows)),
-                    _LOSS_RANGE, _LOSS_WEIGHT, soft * RELAXED,
+            longer = -(advance * (ahead < 1.0))[:, None, None] * moving
+            for begin in range(0, len(rows), _LOSSES_TOGETHER):
+                now = slice(begin, begin + _LOSSES_TOGETHER)
+                yield _Moved(
+                    Poses(
+                        team[now], lost[now], who, rows[now], _LOSS_RANGE, _LOSS_WEIGHT,
+                        soft * RELAXED,
+                    ),
+                    Splines(
+                        there.local[0][now], there.first[now], longer[now], lost_shares[now],
+                        lost_first[now], lost_longer[now],
+                    ),
                 )  # fmt: skip
-                return _Moved(poses, moved_by)
-
-            for first in range(0, count, _LOSSES_TOGETHER):
-                yield moved(slice(first, first + _LOSSES_TOGETHER))
-
-        every, least = np.arange(n), min(coasting.silence, float(coasting.lost.min()))
-        for share in (0.5, 1.0):
-            yield from after(share, np.append(-1, every), np.full(count, share * least))
-            yield from after(share, every, share * coasting.others)
-
-    def _compared(self, moved: _Moved, team: Team, needs: Needs, *, derive: bool) -> _Compared:
-        """Return the cost of all clearances of poses, what they show, and the derivatives."""
-        s, n, _ = moved.poses.places.shape
-        m, rows = n - 1, len(needs.floor)
-        record = Found(
-            np.zeros((rows, m, m)), np.zeros((rows, n, m)), np.zeros((rows, m)),
-            np.zeros((rows, m)), np.zeros((rows, m, m)), np.zeros((rows, m)), np.zeros(rows),
-        )  # fmt: skip
-        memory = Memory(
-            np.empty((m, _PIECES + 1, 3)), np.empty((m, _PIECES + 1, 5)), np.empty((m, 6)),
-            np.empty(m), np.empty(m, dtype=np.int64),
-        )  # fmt: skip
-        blocks = np.zeros((s if derive else 1, 3 * n, 3 * n))
-        derivatives = Derivatives(np.zeros((s, 3 * n)), blocks, np.empty((4, 3)))
-        cost = add_clearances(moved.poses, team, needs, record, memory, derivatives, derive)
-        return _Compared(moved, cost, record, derivatives)
 
     def _bounded(
         self, order: int, state: Floats, limit: float, duration: float, soft: float,
         slopes: Slopes | None,
-    ) -> float:  # fmt: skip
-        """Return the cost of a derivative of the motion and its limit; add its own derivatives."""
-        s, n, _ = state.shape
-        slack = 1.0 - (state**2).sum(axis=2) / limit**2
+    ) -> tuple[float, float]:  # fmt: skip
+        """Return the cost of a derivative of the motion and its limit, and its largest size; add
+        its own derivatives."""
+        s = len(state)
+        squares = (state**2).sum(axis=2)
+        slack, largest = 1.0 - squares / limit**2, float(np.sqrt(squares.max()))
         value, slope, curvature = logarithmic(slack, soft)
         if slopes is None:
-            return float(value.sum())
+            return float(value.sum()), largest
         by = -2.0 / limit**2 * state
         scale = duration**-order
         values = self.basis.values[order]
@@ -637,38 +641,26 @@ class Problem:
         crossed = curvature * longer - 2.0 * order * slope
         slopes.mixed += scale * (values.T @ (crossed[..., None] * by).reshape(s, -1))
         slopes.twice += float((curvature * longer**2 - 2.0 * order * slope * longer).sum())
-        blocks = np.zeros((s, n, 3, n, 3))
-        each = np.arange(n)
-        blocks[:, each, :, each, :] = (
-            curvature[..., None, None] * by[..., :, None] * by[..., None, :]
-            - (2.0 / limit**2 * slope)[..., None, None] * np.eye(3)
-        ).transpose(1, 0, 2, 3)
-        scatter(self._splines(order, s), scale**2, blocks.reshape(s, 3 * n, 3 * n), slopes.band)
-        return float(value.sum())
+        blocks = curvature[..., None, None] * by[..., :, None] * by[..., None, :] - (
+            2.0 / limit**2 * slope
+        )[..., None, None] * np.eye(3)
+        scatter(self.basis.local[order], self.basis.first, scale**2, blocks, slopes.band)
+        return float(value.sum()), largest
 
     def _swing(
-        self, velocity: Floats, acceleration: Floats, duration: float, frozen: Frozen,
+        self, i: int, velocity: Floats, acceleration: Floats, duration: float, frozen: Frozen,
         slopes: Slopes | None,
     ) -> tuple[float, Floats]:  # fmt: skip
-        """Return the cost of all strands' swing, and the swings (t, m); add the derivatives."""
-        s, n, _ = velocity.shape
-        after = math.ceil(SETTLING / (duration / (s - 1)))
-        swings = np.empty((s + after, n - 1))
-
-        def strand(i: int) -> tuple[float, Squares | None]:
-            parts = self._strand_swing(
-                i, velocity, acceleration, duration, frozen, after, derive=slopes is not None
-            )
-            swings[:, i] = np.linalg.norm(np.concatenate([p.moved for p in parts], axis=1), axis=1)
-            pair = (i, i + 1) if slopes is not None else None
-            return below(parts, self.limits.swing, frozen.soft + _SWING_SOFTER, pair)
-
-        total = 0.0
-        for value, squares in side_by_side(strand, range(n - 1)):
-            total += value
-            if slopes is not None and squares is not None:
-                self._add(slopes, squares)
-        return total, swings
+        """Return the cost of a strand's swing, and the swing (t,); add the derivatives."""
+        parts = self._strand_swing(
+            i, velocity, acceleration, duration, frozen, derive=slopes is not None
+        )
+        pair = (i, i + 1) if slopes is not None else None
+        soft = frozen.soft + _SWING_SOFTER
+        value, squares = below(parts, self.limits.swing, soft, pair)
+        if slopes is not None and squares is not None:
+            self._add(slopes, squares)
+        return value, np.linalg.norm(np.concatenate([part.moved for part in parts], axis=1), axis=1)
 
     def _add(self, slopes: Slopes, squares: Squares) -> None:
         """Add the derivatives of the cost of a vector that two vehicles move."""
@@ -692,18 +684,20 @@ class Problem:
             scatter_products(products, first, np.array(squares.pair), taper, knot, slopes.near)
 
     def _strand_swing(
-        self, i: int, velocity: Floats, acceleration: Floats, duration: float, frozen: Frozen,
-        after: int, *, derive: bool,
+        self, i: int, velocity: Floats, acceleration: Floats, duration: float, frozen: Frozen, *,
+        derive: bool,
     ) -> list[Part]:  # fmt: skip
         """Return both modes of a strand: what they swing (t, 2) and (t, 3), without ``derive`` with
         no derivatives by control points."""
         s = len(velocity)
         step = duration / (s - 1)
-        held = np.concatenate([np.arange(s), np.full(after, s - 1)])
+        held = np.concatenate([np.arange(s), np.full(math.ceil(SETTLING / step), s - 1)])
         gain, square, damping = (
             np.ascontiguousarray(each[held, i])
             for each in (frozen.gains, frozen.squares, frozen.damping)
         )
+        begins = _PER_KNOT * np.maximum(np.arange(self.count) - DEGREE, 0)
+        first, second = (self.basis.values[d] / duration**d for d in (1, 2))
         parts = []
         for sign, axes, squares in ((1.0, 2, square), (-1.0, 3, _SECOND * square)):
             speed = 0.5 * (velocity[:, i + 1] + sign * velocity[:, i])
@@ -711,13 +705,15 @@ class Problem:
             size = np.linalg.norm(speed, axis=1) + 1e-9
             force = np.zeros((len(held), axes))
             force[:s] = _STEP_RESPONSE * (pushed + self.drag * size[:, None] * speed)[:, :axes]
-            mode = Mode(axes, squares, speed, size, gain, damping, step)
-            moved = mode.swung(force)
+            mode = Mode(squares, damping, gain, 0.5 * _STEP_RESPONSE, self.drag, begins)
+            moved = swung(mode, force, step)
             # A longer duration makes forces smaller by its square, and steps longer.
-            stretched = replace(mode, step=step * (1.0 + _STRETCH))
-            later = stretched.swung(force / (1.0 + _STRETCH) ** 2)
-            by = mode.by_ends(self, duration) if derive else np.empty((0, 0, 0))
-            parts.append(Part(sign, moved, by, (later - moved) / _STRETCH))
+            later = swung(mode, force / (1.0 + _STRETCH) ** 2, step * (1.0 + _STRETCH))
+            rows = np.zeros((len(held) if derive else 0, 1 + axes, 3 * self.count))
+            if derive:
+                memory = np.zeros((3, axes, 3 * self.count))
+                oscillate_by_points(first, second, speed, mode, step, rows, memory)
+            parts.append(Part(sign, moved, rows, (later - moved) / _STRETCH))
         return parts
 
     def _sinking(
@@ -736,13 +732,14 @@ class Problem:
         lost[:, lost.max(axis=0) < _LEAST_LOST] = 0.0
         depths, later = responded(held, lost), responded(stretched, lost)
         for k in np.flatnonzero(depths.max(axis=0) >= _LEAST_SUNK * self.limits.sinking):
-            depth, sunk, by = depths[:, k : k + 1], depths[:, k : k + 1] > 0.0, np.empty((0, 0, 0))
+            depth, sunk = depths[:, k : k + 1], depths[:, k : k + 1] > 0.0
+            rows = np.zeros((s, 2, 3 * self.count))
             if slopes is not None:
                 force = by_place[:, k, None] * self.basis.values[0][:, :, None]
-                by = (responded(held, force.reshape(s, -1)) * sunk)[:, None]
+                rows[:, 1] = responded(held, force.reshape(s, -1)) * sunk
             longer = (later[:, k : k + 1] - depth) / _STRETCH * sunk
             value, squares = below(
-                [Part(-1.0, depth * sunk, by, longer)], self.limits.sinking, soft,
+                [Part(-1.0, depth * sunk, rows, longer)], self.limits.sinking, soft,
                 None if slopes is None else (int(lower[k]), int(upper[k])),
             )  # fmt: skip
             total += value
@@ -766,7 +763,9 @@ class Problem:
         )
         return lost, by
 
-    def _smoothness(self, flat: Floats, duration: float, slopes: Slopes | None) -> float:
+    def _smoothness(
+        self, flat: Floats, duration: float, slopes: Slopes | None
+    ) -> tuple[float, None]:
         """Return the cost of the mean squares of speed and jerk; add its derivatives."""
         cost = 0.0
         for weight, rough, power in zip(
@@ -781,44 +780,15 @@ class Problem:
                 for apart in range(DEGREE + 1):
                     diagonal = np.repeat(np.diag(scaled, -apart), size)
                     slopes.band[: len(diagonal), apart * size] += diagonal
-        return cost
+        return cost, None
 
 
-@dataclass(frozen=True, eq=False)
-class Mode:
-    """A mode of a strand: driven by the mean or half the difference of its ends.
-
-    Along ``axes``; with squared frequencies, size factors and damping (t,), that ``speed`` of the
-    ends (s, 3) and its ``size`` (s,), and ``step`` seconds between moments.
-    """
-
-    axes: int
-    squares: Floats
-    speed: Floats
-    size: Floats
-    gain: Floats
-    damping: Floats
-    step: float
-
-    def swung(self, force: Floats) -> Floats:
-        """Return the swing (t, k) by columns of force (t, k)."""
-        moved = np.empty((len(force) + 2, force.shape[1]))
-        oscillate(np.ascontiguousarray(force), self.squares, self.damping, self.step, moved)
-        swung: Floats = moved[:-2] * self.gain[:, None]
-        return swung
-
-    def by_ends(self, problem: Problem, duration: float) -> Floats:
-        """Return the derivative (t, axes, k·3) of its swing by control points of the far end."""
-        t, s, count = len(self.squares), len(self.speed), problem.count
-        first = problem.basis.values[1] / duration
-        second = problem.basis.values[2] / duration**2
-        force = np.zeros((t, self.axes, count, 3))
-        for x in range(self.axes):
-            force[:s, x, :, x] += second + problem.drag * self.size[:, None] * first
-            for y in range(3):
-                along = problem.drag * self.speed[:, x] * self.speed[:, y] / self.size
-                force[:s, x, :, y] += along[:, None] * first
-        return self.swung(0.5 * _STEP_RESPONSE * force.reshape(t, -1)).reshape(t, self.axes, -1)
+def swung(mode: Mode, force: Floats, step: float) -> Floats:
+    """Return the swing (t, c) by columns of force (t, c), with ``step`` seconds between moments."""
+    moved = np.empty((len(force) + 2, force.shape[1]))
+    oscillate(np.ascontiguousarray(force), mode.squares, mode.damping, step, moved)
+    swings: Floats = moved[:-2] * mode.gain[:, None]
+    return swings
 
 
 def below(
@@ -835,25 +805,18 @@ def below(
     inward = -2.0 / limit**2
     longer = inward * sum((part.moved * part.longer).sum(axis=1) for part in parts)
     steep, scaled = np.sqrt(curvature), np.sqrt(inward * slope)
-    twice, all_rows = float(curvature @ longer**2), []
-    count = parts[0].by.shape[2] // 3
-    gradient, mixed = np.zeros((2, 2, count, 3))
+    weights = np.stack([inward * slope, inward * steep, scaled])
+    twice, by_ends = float(curvature @ longer**2), np.zeros((2, 2, parts[0].rows.shape[2]))
     for part in parts:
-        t, axes, size = part.by.shape
-        toward = inward * (part.moved[:, None] @ part.by)[:, 0]
-        rows = np.empty((t, 1 + axes, size))
-        rows[:, 0] = steep[:, None] * toward
-        rows[:, 1:] = scaled[:, None, None] * part.by
         crossed = np.column_stack([steep * longer, scaled[:, None] * part.longer])
-        all_rows.append((part.sign, rows))
         twice += float((crossed[:, 1:] ** 2).sum())
-        for total, product in (
-            (gradient, slope @ toward), (mixed, crossed.reshape(-1) @ rows.reshape(-1, size))
-        ):  # fmt: skip
-            by_ends = product.reshape(-1, 3)
-            total += [part.sign * by_ends, by_ends]
+        of_part = np.zeros((2, part.rows.shape[2]))
+        weigh(part.rows, np.ascontiguousarray(part.moved), weights, crossed, *of_part)
+        by_ends += of_part[:, None] * np.array([part.sign, 1.0])[:, None]
+    gradient, mixed = by_ends.reshape(2, 2, -1, 3)
+    rows = tuple((part.sign, part.rows) for part in parts)
     by_duration = float(slope @ longer)
-    return float(value.sum()), Squares(pair, tuple(all_rows), gradient, mixed, by_duration, twice)
+    return float(value.sum()), Squares(pair, rows, gradient, mixed, by_duration, twice)
 
 
 def localised(reach: int) -> Floats:

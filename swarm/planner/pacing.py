@@ -237,7 +237,8 @@ def slowed_for_stops(paced: PacedPlan, times: Floats, excess: Floats) -> PacedPl
 
 def slower(paced: PacedPlan) -> PacedPlan | None:
     """Return the plan timed for the rates of its certificate; None where they are 1 already."""
-    times, rates = PlanChecks.of(paced.plan).rates_ahead
+    limits = PlanChecks.of(paced.plan).limits_ahead
+    times, rates = limits.times, limits.rates
     if paced.pacing is None or not len(times) or rates.min() >= 1.0:
         return None
     pacing = paced.pacing.slowed_for_loss(times - paced.plan.phase("fold").start, rates)

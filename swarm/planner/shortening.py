@@ -15,6 +15,7 @@ begins where the last one ended.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from swarm.certification.budget import needed_distances
 from swarm.certification.cable_spans import exempt_length
 from swarm.certification.clearances import PlanChecks, violations, violations_in_wind
 from swarm.certification.distances import segment_name, vehicle_name
-from swarm.certification.stream_loss import StreamLossBound, StreamLossModel
+from swarm.certification.stream_loss import StreamLossModel
 from swarm.certification.swing_runs import strands_of
 from swarm.errors import Refused
 from swarm.geometry.catenary import MAX_CHORD_RATIO
@@ -54,6 +55,7 @@ from swarm.planning.phase_motion import TAKEOFF_HEIGHT, usable_acceleration
 from swarm.planning.phase_sequence import PADS_ASIDE, laid_along
 from swarm.planning.plan import Phase
 from swarm.planning.shaping import largest_stray
+from swarm.threads import both
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -219,8 +221,8 @@ def shorten(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) ->
         draft = short.plan_with(fold)
         if PlanChecks.of(draft).spans.problems:
             break
-        missed = _missed_after_losses(short, draft)
-        if accepted(draft) and not missed.any():
+        cleared, missed = accepted(draft), _missed_after_losses(short, draft)
+        if cleared and not missed.any():
             break
         wanted, room = _wanted(short, draft, frozen.needs, wanted), room + _MORE_AFTER_LOSS * missed
         short = short.swinging_less(fold)
@@ -377,7 +379,7 @@ def _measured_first(short: Shortening, fold: Fold) -> Frozen:
     frozen = _with_needs(short, frozen, problem.evaluate(fold, frozen), wanted, 1.0)
     for _ in range(2):
         shown = problem.evaluate(fold, frozen)
-        frozen = _with_gains(short, fold, frozen, shown, 1.0)[0]
+        frozen = replace(frozen, gains=_gains(short, fold, frozen, shown, 1.0)[0])
     return frozen
 
 
@@ -397,9 +399,12 @@ def _centred(
         frozen = replace(frozen, soft=min(_SOFTEST, _SOFTENED / weight))
         step = _newton_step(problem, fold, frozen, weight, damping)
         fold, shown, damping = step.fold, step.shown, step.damping
+        (gains, stray), coasting = both(
+            partial(_gains, short, fold, frozen, shown, _TOWARDS),
+            partial(_coasting, short, fold, room),
+        )
         frozen = _with_needs(short, frozen, shown, wanted, _TOWARDS)
-        frozen, stray = _with_gains(short, fold, frozen, shown, _TOWARDS)
-        frozen = replace(frozen, coasting=_coasting(short, fold, room))
+        frozen = replace(frozen, gains=gains, coasting=coasting)
         exceeded = _exceeded(problem.limits, shown, stray)
         last = weight == _LAST_WEIGHT or exceeded >= _NEARLY_KEPT
         within = _CONVERGED if exceeded < _KEPT else _STILL
@@ -447,10 +452,10 @@ def _with_needs(
     return replace(frozen, needs=needs, squares=squares, damping=damping)
 
 
-def _with_gains(
+def _gains(
     short: Shortening, fold: Fold, frozen: Frozen, shown: Evaluation, share: float
-) -> tuple[Frozen, float]:
-    """Return the oscillators corrected by lumped masses, by a ``share``, and the largest stray.
+) -> tuple[Floats, float]:
+    """Return the oscillators' corrections by lumped masses, by a ``share``, and the largest stray.
 
     What an oscillator swings in a period is compared with what its strand strays in it.
     """
@@ -468,7 +473,7 @@ def _with_gains(
         ratio = scipy.ndimage.maximum_filter1d(np.clip(ratio, _LEAST_GAIN, _LARGEST_GAIN), wide)
         smooth = scipy.ndimage.gaussian_filter1d(ratio, 0.3 * wide)[:moments]
         gains[:, i] = old * (smooth / old) ** share
-    return replace(frozen, gains=gains), float(stray.max())
+    return gains, float(stray.max())
 
 
 def _coasting(short: Shortening, fold: Fold, room: Floats) -> Coasting:
@@ -525,13 +530,15 @@ def _needed_for_budget(plan: Plan, at: Floats) -> Floats:
 
 def _missed_after_losses(short: Shortening, plan: Plan) -> npt.NDArray[np.bool_]:
     """Return where (l,) the certificate does not show that clearances hold at full rate."""
-    fold, shares = plan.phase("fold"), short.loss_shares
-    overrun = StreamLossModel().overrun(plan, (fold.start, fold.end))
-    edges = np.append(fold.start + fold.duration * shares[:-1], fold.end)
-    bound = StreamLossBound(plan, overrun, fold.end)
-    missed = ~bound.holds(edges[:-1], edges[1:], np.ones(len(edges) - 1))
-    at_edges: npt.NDArray[np.bool_] = np.append(missed, False) | np.append(False, missed)
-    return at_edges
+    limits, fold = PlanChecks.of(plan).limits_ahead, plan.phase("fold")
+    slow = np.minimum(limits.asked[:-1], limits.asked[1:]) < 1.0
+    before, after = limits.times[:-1][slow], limits.times[1:][slow]
+    lost = fold.start + fold.duration * short.loss_shares
+    # setpoints that are lost between two moments count for both
+    since, until = np.append(lost[0], lost[:-1]), np.append(lost[1:], lost[-1])
+    overlapping = (before < until[:, None]) & (after > since[:, None])
+    missed: npt.NDArray[np.bool_] = np.any(overlapping, axis=1)
+    return missed
 
 
 @dataclass(frozen=True, eq=False)

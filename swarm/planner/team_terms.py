@@ -17,7 +17,7 @@ from swarm.geometry.catenary import solve_catenary
 from swarm.geometry.distance import Vector, segment_distance
 from swarm.geometry.solids import plane_beside
 from swarm.jit import compiled, inner
-from swarm.signatures import Floats1, Floats2, Floats3, Floats4, Ints1, Ints2
+from swarm.signatures import Floats1, Floats2, Floats3, Floats4, Ints1
 
 Floats = npt.NDArray[np.float64]
 
@@ -117,9 +117,12 @@ class Memory(NamedTuple):
 
     They are those of the pose before where both ends are; otherwise ``written`` (m,) is 1 for
     strands whose points are those of the pose: of others, which are not near anything that counts,
-    only a box is.
+    only a box is. ``place`` (n, 3) is that pose, ``moved`` (n,) 1 for vehicles that the pose before
+    had elsewhere.
     """
 
+    place: Floats2
+    moved: Ints1
     points: Floats3
     responses: Floats3
     boxes: Floats2
@@ -128,33 +131,76 @@ class Memory(NamedTuple):
 
 
 class Derivatives(NamedTuple):
-    """Gradient (s, 3n) and Gauss-Newton matrix (s, 3n, 3n) by the vehicles' positions; ``by``
-    (4, 3) is memory."""
+    """Gradient (3n,) and Gauss-Newton matrix (3n, 3n) of a pose's cost by the vehicles' positions;
+    the matrix times how these change with the duration, ``pushed`` (3n,); and memory for a term's
+    derivatives, ``by`` (4, 3), and the ``weights`` (6, 3n) of splines."""
 
-    gradient: Floats2
-    matrix: Floats3
+    gradient: Floats1
+    matrix: Floats2
+    pushed: Floats1
     by: Floats2
+    weights: Floats2
+
+    @staticmethod
+    def zeros(vehicles: int, splines: int) -> "Derivatives":
+        """Return derivatives of a cost of 0."""
+        size = 3 * vehicles
+        return Derivatives(
+            np.zeros(size), np.zeros((size, size)), np.zeros(size), np.zeros((4, 3)),
+            np.zeros((splines, size)),
+        )  # fmt: skip
 
 
 class Poses(NamedTuple):
-    """Positions (s, n, 3) of a team, with the rows (s,) of its needs, and a vehicle (s,).
+    """Poses of a team at s moments, with the rows (s,) of its needs there.
 
-    Only what involves that vehicle counts: all of it for −1. Barriers end at ``range`` metres, and
-    cost ``weight`` times as much; they are parabolas below ``relaxed`` metres.
+    One for each of ``apart`` (w,): all vehicles are at their ``places`` (s, n, 3), but that one is
+    at its place in ``elsewhere`` (s, n, 3), and only what involves it counts. For −1 all are
+    elsewhere, and everything counts. Barriers end at ``range`` metres, and cost ``weight`` times as
+    much; they are parabolas below ``relaxed`` metres.
     """
 
     places: Floats3
+    elsewhere: Floats3
+    apart: Ints1
     rows: Ints1
-    vehicles: Ints1
     range: float
     weight: float
     relaxed: float
 
 
-class _At(NamedTuple):
-    """A pose: its number, the row of its needs, its barriers, and whether to derive."""
+class Splines(NamedTuple):
+    """What moves the poses of a team: of both places, six splines next to each other.
 
-    pose: int
+    Shares (s, 6) of splines, which are those of all vehicles, the number (s,) of the first one, and
+    how places change (s, n, 3) with the logarithm of the duration; elsewhere, shares (s, n, 6).
+    """
+
+    shares: Floats2
+    first: Ints1
+    longer: Floats3
+    shares_elsewhere: Floats3
+    first_elsewhere: Ints1
+    longer_elsewhere: Floats3
+
+
+class Sums(NamedTuple):
+    """Derivatives of a cost by control points and the duration, to which those of poses are added.
+
+    ``gradient`` (k, 3n); the Gauss-Newton matrix (k·3n, k·3n), of which a lower ``band`` (k·3n, h)
+    is kept: row r, column c in ``band[c, r − c]``; ``mixed`` (k, 3n) by control points and the
+    logarithm of the duration; and by that alone, once and twice: ``by_duration`` (2,).
+    """
+
+    gradient: Floats2
+    band: Floats2
+    mixed: Floats2
+    by_duration: Floats1
+
+
+class _At(NamedTuple):
+    """A pose: the row of its needs, its barriers, and whether to derive."""
+
     row: int
     range: float
     weight: float
@@ -268,8 +314,8 @@ def _add(
     slope: float, curvature: float,
 ) -> None:  # fmt: skip
     """Add a cost whose argument has the derivative ``by`` by ``count`` vehicles."""
-    gradient, matrix = derivatives.gradient[at.pose], derivatives.matrix[at.pose]
-    by, slope, curvature = derivatives.by, at.weight * slope, at.weight * curvature
+    gradient, matrix, by = derivatives.gradient, derivatives.matrix, derivatives.by
+    slope, curvature = at.weight * slope, at.weight * curvature
     for a in range(count):
         row = 3 * vehicles[a]
         for x in range(3):
@@ -337,16 +383,19 @@ def _write_bounds(start: Floats, end: Floats, length: float, box: Floats) -> Non
 
 
 @inner
-def _begin_pose(s: int, places: Floats, team: Team, memory: Memory) -> None:
-    """Write boxes around the strands that have other ends than in the pose before."""
+def _begin_pose(s: int, only: int, begun: bool, poses: Poses, team: Team, memory: Memory) -> None:
+    """Write a pose, and boxes around the strands that have other ends than in the pose before."""
+    for k in range(len(memory.place)):
+        place = poses.elsewhere[s, k] if only < 0 or only == k else poses.places[s, k]
+        memory.moved[k] = 0 if begun else 1
+        for x in range(3):
+            if place[x] != memory.place[k, x]:
+                memory.moved[k] = 1
+            memory.place[k, x] = place[x]
     for i in range(len(team.lengths)):
-        same = s > 0
-        for k in range(i, i + 2):
-            for x in range(3):
-                same = same and places[s, k, x] == places[s - 1, k, x]
-        if not same:
+        if memory.moved[i] + memory.moved[i + 1] > 0:
             memory.written[i] = 0
-            _write_bounds(places[s, i], places[s, i + 1], team.lengths[i], memory.boxes[i])
+            _write_bounds(memory.place[i], memory.place[i + 1], team.lengths[i], memory.boxes[i])
 
 
 @inner
@@ -374,29 +423,155 @@ def _gap(boxes: Floats, i: int, j: int) -> float:
 
 @compiled
 def add_clearances(
-    poses: Poses, team: Team, needs: Needs, record: Found, memory: Memory,
-    derivatives: Derivatives, derive: bool,
+    poses: Poses, team: Team, needs: Needs, record: Found, memory: Memory, splines: Splines,
+    sums: Sums, derivatives: Derivatives, shared: Derivatives, derive: bool,
 ) -> float:  # fmt: skip
     """Return the cost of all clearances of poses, and write what each row of needs shows.
 
-    With ``derive``, add the derivatives by the vehicles' positions.
+    With ``derive``, add the derivatives by control points and the duration; ``derivatives`` and
+    ``shared`` are 0 before and after.
     """
-    cost = 0.0
+    cost, weights = 0.0, derivatives.weights
     for s in range(len(poses.places)):
-        if poses.vehicles[s] < 0:
-            record.missed[poses.rows[s]] = 0.0
-        cost += _moment(s, poses, team, needs, record, memory, derivatives, derive)
+        at = _At(poses.rows[s], poses.range, poses.weight, poses.relaxed, derive)
+        for w in range(len(poses.apart)):
+            only = poses.apart[w]
+            if only < 0:
+                record.missed[at.row] = 0.0
+            _begin_pose(s, only, s + w > 0, poses, team, memory)
+            cost += _pose(at, only, memory.place, team, needs, record, memory, derivatives)
+            if derive:
+                _push(s, only, splines, derivatives, sums.by_duration)
+                if only < 0:
+                    for k in range(len(memory.place)):
+                        _set_weights(weights, k, splines.shares_elsewhere[s, k])
+                    _add_to_sums(derivatives, weights, splines.first_elsewhere[s], sums)
+                else:
+                    _add_apart(s, only, derivatives, splines, sums)
+                    _add_to_shared(derivatives, shared)
+        if derive and poses.apart[-1] >= 0:
+            # vehicles at their places have the same splines in all of these poses
+            for k in range(len(memory.place)):
+                _set_weights(weights, k, splines.shares[s])
+            _add_to_sums(shared, weights, splines.first[s], sums)
     return poses.weight * cost
 
 
 @inner
-def _moment(
-    s: int, poses: Poses, team: Team, needs: Needs, record: Found, memory: Memory,
-    derivatives: Derivatives, derive: bool,
+def _set_weights(weights: Floats, vehicle: int, shares: Floats) -> None:
+    for a in range(len(shares)):
+        for x in range(3 * vehicle, 3 * vehicle + 3):
+            weights[a, x] = shares[a]
+
+
+@inner
+def _push(
+    s: int, only: int, splines: Splines, derivatives: Derivatives, by_duration: Floats
+) -> None:
+    """Add the matrix times how places change with the duration to what is pushed; and their own
+    derivatives."""
+    gradient, matrix, pushed = derivatives.gradient, derivatives.matrix, derivatives.pushed
+    for r in range(len(gradient)):
+        elsewhere = only < 0 or only == r // 3
+        longer = splines.longer_elsewhere if elsewhere else splines.longer
+        change = longer[s, r // 3, r % 3]
+        if change != 0.0:
+            by_duration[0] += gradient[r] * change
+            for c in range(len(gradient)):
+                pushed[c] += matrix[r, c] * change
+    for r in range(len(gradient)):
+        elsewhere = only < 0 or only == r // 3
+        longer = splines.longer_elsewhere if elsewhere else splines.longer
+        by_duration[1] += pushed[r] * longer[s, r // 3, r % 3]
+
+
+@inner
+def _add_to_sums(derivatives: Derivatives, weights: Floats, first: int, sums: Sums) -> None:
+    """Add derivatives by the ``weights`` (6, 3n) of splines, and set them to 0."""
+    gradient, matrix, pushed = derivatives.gradient, derivatives.matrix, derivatives.pushed
+    for a in range(len(weights)):
+        for r in range(len(gradient)):
+            sums.gradient[first + a, r] += weights[a, r] * gradient[r]
+            sums.mixed[first + a, r] += weights[a, r] * pushed[r]
+    _add_to_band(matrix, weights, first, sums.band)
+    gradient[:] = 0.0
+    matrix[:] = 0.0
+    pushed[:] = 0.0
+
+
+@inner
+def _add_to_shared(derivatives: Derivatives, shared: Derivatives) -> None:
+    """Add derivatives to those that poses share, and set them to 0."""
+    for r in range(len(derivatives.gradient)):
+        shared.gradient[r] += derivatives.gradient[r]
+        shared.pushed[r] += derivatives.pushed[r]
+        for c in range(len(derivatives.gradient)):
+            shared.matrix[r, c] += derivatives.matrix[r, c]
+            derivatives.matrix[r, c] = 0.0
+        derivatives.gradient[r] = derivatives.pushed[r] = 0.0
+
+
+@inner
+def _add_to_band(matrix: Floats, weights: Floats, first: int, band: Floats) -> None:
+    """Add a symmetric matrix (3n, 3n) to a band by the ``weights`` (6, 3n) of splines."""
+    many, size = weights.shape
+    for b in range(many):
+        for c in range(size):
+            column, scale = (first + b) * size + c, weights[b, c]
+            for a in range(b, many):
+                below = (a - b) * size - c
+                for r in range(c if a == b else 0, size):
+                    band[column, below + r] += scale * weights[a, r] * matrix[c, r]
+
+
+@inner
+def _add_apart(s: int, k: int, derivatives: Derivatives, splines: Splines, sums: Sums) -> None:
+    """Add the derivatives by the vehicle that is elsewhere, and set them to 0."""
+    gradient, matrix, pushed = derivatives.gradient, derivatives.matrix, derivatives.pushed
+    for a in range(splines.shares.shape[1]):
+        row, share = splines.first_elsewhere[s] + a, splines.shares_elsewhere[s, k, a]
+        for x in range(3 * k, 3 * k + 3):
+            sums.gradient[row, x] += share * gradient[x]
+            sums.mixed[row, x] += share * pushed[x]
+    for j in range(len(gradient) // 3):
+        touched = 0.0
+        for x in range(3 * k, 3 * k + 3):
+            for y in range(3 * j, 3 * j + 3):
+                touched += abs(matrix[x, y])
+        if touched > 0.0:
+            _add_pair(s, k, j, matrix, splines, sums.band)
+    for x in range(3 * k, 3 * k + 3):
+        gradient[x] = pushed[x] = 0.0
+        for c in range(len(gradient)):
+            matrix[x, c] = matrix[c, x] = 0.0
+
+
+@inner
+def _add_pair(s: int, k: int, j: int, matrix: Floats, splines: Splines, band: Floats) -> None:
+    """Add what couples the vehicle that is elsewhere with itself or another one."""
+    size, many = len(matrix), splines.shares.shape[1]
+    first = splines.first_elsewhere[s]
+    for a in range(many):
+        for b in range(many):
+            share, first_of_j = splines.shares[s, b], splines.first[s]
+            if j == k:
+                share, first_of_j = splines.shares_elsewhere[s, k, b], first
+            factor = splines.shares_elsewhere[s, k, a] * share
+            for x in range(3 * k, 3 * k + 3):
+                for y in range(3 * j, 3 * j + 3):
+                    row, column = (first + a) * size + x, (first_of_j + b) * size + y
+                    if row >= column:
+                        band[column, row - column] += factor * matrix[x, y]
+                    elif j != k:
+                        band[row, column - row] += factor * matrix[x, y]
+
+
+@inner
+def _pose(
+    at: _At, only: int, place: Floats, team: Team, needs: Needs, record: Found, memory: Memory,
+    derivatives: Derivatives,
 ) -> float:  # fmt: skip
-    place, strands, only = poses.places[s], len(team.lengths), poses.vehicles[s]
-    at = _At(s, poses.rows[s], poses.range, poses.weight, poses.relaxed, derive)
-    _begin_pose(s, poses.places, team, memory)
+    strands = len(team.lengths)
     cost = 0.0  # calls pass all arrays by value, so that there is none for what is far apart
     for i in range(strands):
         if only < 0 or only in (i, i + 1):
@@ -661,15 +836,25 @@ def _within_walls(
 
 @compiled
 def add_walls(
-    poses: Poses, team: Team, needs: Needs, record: Found, derivatives: Derivatives, derive: bool
-) -> float:
-    """Return the cost of the vehicles of poses and all walls alone, as :func:`add_clearances`."""
+    places: Floats2, team: Team, needs: Needs, record: Found, relaxed: float,
+    derivatives: Derivatives, gradient: Floats2, matrix: Floats3,
+) -> float:  # fmt: skip
+    """Return the cost of vehicles at ``places`` (r, 3) and all walls, with the first row of needs.
+
+    Write its ``gradient`` (r, 3) and ``matrix`` (r, 3, 3) by each place. ``derivatives`` are those
+    of a team of one, 0 before and after.
+    """
     cost = 0.0
-    for s in range(len(poses.places)):
-        at = _At(s, poses.rows[s], poses.range, poses.weight, poses.relaxed, derive)
-        for i in range(poses.places.shape[1]):
-            cost += _within_walls(at, i, poses.places[s], team, needs, record, derivatives)
-    return poses.weight * cost
+    for s in range(len(places)):
+        at = _At(0, RANGE, 1.0, relaxed, True)
+        cost += _within_walls(at, 0, places[s : s + 1], team, needs, record, derivatives)
+        for x in range(3):
+            gradient[s, x] = derivatives.gradient[x]
+            derivatives.gradient[x] = 0.0
+            for y in range(3):
+                matrix[s, x, y] = derivatives.matrix[x, y]
+                derivatives.matrix[x, y] = 0.0
+    return cost
 
 
 @inner
@@ -715,6 +900,21 @@ def _beside_walls(
     return cost
 
 
+class Mode(NamedTuple):
+    """A mode of a strand over t moments: squared frequencies, damping and factors of its size (t,).
+
+    ``response`` is the share of an end's acceleration and drag that drives it, ``drag`` that of the
+    cable, 1/m; splines k begin to move at the moments ``begins`` (k,), which do not fall.
+    """
+
+    squares: Floats1
+    damping: Floats1
+    gain: Floats1
+    response: float
+    drag: float
+    begins: Ints1
+
+
 @compiled
 def oscillate(
     force: Floats2, squares: Floats1, damping: Floats1, step: float, swings: Floats2
@@ -741,6 +941,74 @@ def oscillate(
 
 
 @compiled
+def oscillate_by_points(
+    velocity: Floats2, acceleration: Floats2, speed: Floats2, mode: Mode, step: float,
+    rows: Floats3, memory: Floats3,
+) -> None:  # fmt: skip
+    """Write how swings change with control points: :func:`oscillate` of their forces, times gains.
+
+    ``rows`` (t, 1 + c, 3k), of which the first is left as it is, are of c axes and the coordinates
+    of k control points. A spline's ``velocity`` and ``acceleration`` (s, k) are 0 until ``begins``
+    (k,); ``speed`` (s, 3) is that of the strand. ``memory`` (3, c, 3k) is 0.
+    """
+    count, axes, points = len(rows), rows.shape[1] - 1, velocity.shape[1]
+    place, faster, force = memory[0], memory[1], memory[2]
+    begun = 0
+    for t in range(count):
+        before = max(t - 1, 0)
+        square = 0.5 * (mode.squares[t] + mode.squares[before])
+        damping = 0.5 * (mode.damping[t] + mode.damping[before])
+        below = 1.0 + 0.5 * step * damping + 0.25 * step * step * square
+        kept = 1.0 - 0.5 * step * damping - 0.25 * step * step * square
+        size, moving = 0.0, t < len(speed)
+        if moving:
+            size = np.sqrt(speed[t, 0] ** 2 + speed[t, 1] ** 2 + speed[t, 2] ** 2) + 1e-9
+        while begun < points and mode.begins[begun] <= t:
+            begun += 1
+        for x in range(axes):
+            for c in range(begun):
+                for y in range(3):
+                    pushed, r = 0.0, 3 * c + y
+                    if moving:
+                        pushed = mode.drag * speed[t, x] * speed[t, y] / size * velocity[t, c]
+                        if x == y:
+                            pushed += acceleration[t, c] + mode.drag * size * velocity[t, c]
+                    pushed *= mode.response
+                    mean = -0.5 * (pushed + force[x, r])
+                    force[x, r] = pushed
+                    if t > 0:
+                        here = faster[x, r]
+                        after = (here * kept + step * (mean - square * place[x, r])) / below
+                        place[x, r] += 0.5 * step * (here + after)
+                        faster[x, r] = after
+                    rows[t, 1 + x, r] = mode.gain[t] * place[x, r]
+
+
+@compiled
+def weigh(
+    rows: Floats3, moved: Floats2, weights: Floats2, crossed: Floats2, gradient: Floats1,
+    mixed: Floats1,
+) -> None:  # fmt: skip
+    """Weigh ``rows`` (t, 1 + c, r) of a vector ``moved`` (t, c), so that their squares are the
+    Gauss-Newton matrix of a function of its size; add to its ``gradient`` (r,).
+
+    The ``weights`` (3, t) are slopes by half the square of the size, roots of the curvature, and
+    roots of the slope. ``crossed`` (t, 1 + c) times the weighed rows is added to ``mixed`` (r,).
+    """
+    axes = moved.shape[1]
+    for t in range(len(rows)):
+        for r in range(rows.shape[2]):
+            toward, cross = 0.0, 0.0
+            for x in range(axes):
+                toward += moved[t, x] * rows[t, 1 + x, r]
+                rows[t, 1 + x, r] *= weights[2, t]
+                cross += crossed[t, 1 + x] * rows[t, 1 + x, r]
+            rows[t, 0, r] = weights[1, t] * toward
+            gradient[r] += weights[0, t] * toward
+            mixed[r] += cross + crossed[t, 0] * rows[t, 0, r]
+
+
+@compiled
 def respond(held: Floats2, lost: Floats2, response: Floats2) -> None:
     """Write ``response`` (t, k): the second of three states that columns of ``lost`` (t, k) drive.
 
@@ -761,51 +1029,30 @@ def respond(held: Floats2, lost: Floats2, response: Floats2) -> None:
             response[t, k] = state[1, k]
 
 
-class Splines(NamedTuple):
-    """The six splines that move each vehicle of a pose: shares (s, n, 6), the first's number
-    (s, n)."""
-
-    shares: Floats3
-    first: Ints2
-
-
 @compiled
-def scatter(splines: Splines, weight: float, blocks: Floats3, band: Floats2) -> None:
-    """Add to a matrix (k·3n, k·3n) the blocks (s, 3n, 3n) of poses, by the splines at them.
+def scatter(shares: Floats2, first: Ints1, weight: float, blocks: Floats4, band: Floats2) -> None:
+    """Add to a band, as in :class:`Sums`, a weight times symmetric blocks (s, n, 3, 3) of vehicles.
 
-    Of the matrix, a lower ``band`` (k·3n, h) is kept: row r, column c in ``band[c, r − c]``.
+    Splines from the ``first`` (s,) on move all of them by ``shares`` (s, 6).
     """
-    poses, vehicles, many = splines.shares.shape
-    for s in range(poses):
-        for i in range(vehicles):
-            for j in range(vehicles):
-                touched = 0.0
-                for x in range(3):
-                    for y in range(3):
-                        touched += abs(blocks[s, 3 * i + x, 3 * j + y])
-                if touched == 0.0:
-                    continue
-                for a in range(many):
-                    row = (splines.first[s, i] + a) * 3 * vehicles + 3 * i
-                    for b in range(many):
-                        column = (splines.first[s, j] + b) * 3 * vehicles + 3 * j
-                        if row + 2 < column:
-                            continue
-                        factor = weight * splines.shares[s, i, a] * splines.shares[s, j, b]
-                        for y in range(3):
-                            for x in range(3):
-                                below = row + x - column - y
-                                if below >= 0:
-                                    band[column + y, below] += (
-                                        factor * blocks[s, 3 * i + x, 3 * j + y]
-                                    )
+    moments, vehicles = blocks.shape[:2]
+    for s in range(moments):
+        for b in range(shares.shape[1]):
+            for a in range(b, shares.shape[1]):
+                factor = weight * shares[s, a] * shares[s, b]
+                for column in range(3 * vehicles):
+                    k, y = column // 3, column % 3
+                    for x in range(y if a == b else 0, 3):
+                        band[
+                            (first[s] + b) * 3 * vehicles + column, (a - b) * 3 * vehicles + x - y
+                        ] += factor * blocks[s, k, x, y]
 
 
 @compiled
 def scatter_products(
     products: Floats4, first: int, pair: Ints1, taper: Floats1, knot: int, band: Floats2
 ) -> None:
-    """Add to a lower band (as in :func:`scatter`) products of vectors by control points of a pair.
+    """Add to a lower band (as in :class:`Sums`) products of vectors by control points of a pair.
 
     ``products`` (2, 2, a·3, b·3) are those of control points from the ``first`` on, of both
     vehicles, with themselves and later ones. ``taper`` (r,) multiplies those of control points
@@ -837,15 +1084,3 @@ def band_times(band: Floats2, vectors: Floats2, sums: Floats2) -> None:
                 sums[v, column + below] += band[column, below] * here
                 total += band[column, below] * vectors[v, column + below]
             sums[v, column] += total
-
-
-@compiled
-def gather(splines: Splines, vectors: Floats2, sums: Floats2) -> None:
-    """Add to ``sums`` (k, 3n) the vectors (s, 3n) of poses, by the splines at them."""
-    poses, vehicles, many = splines.shares.shape
-    for s in range(poses):
-        for i in range(vehicles):
-            for a in range(many):
-                row, share = splines.first[s, i] + a, splines.shares[s, i, a]
-                for x in range(3 * i, 3 * i + 3):
-                    sums[row, x] += share * vectors[s, x]
