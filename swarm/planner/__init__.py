@@ -9,7 +9,7 @@ from itertools import chain, islice
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from swarm.certification.air import LEAST_SINKING, deepest_sinking
+from swarm.certification.air import LEAST_SINKING, deepest_sinking, wind_tilt
 from swarm.certification.assessment import Assessment
 from swarm.certification.budget import least_remaining
 from swarm.certification.certificate import (
@@ -23,7 +23,7 @@ from swarm.certification.clearances import PlanChecks, Robustness, certified
 from swarm.mission import Mission
 from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower
 from swarm.planner.repairs import Kept, Unfinished, least_short, repair, slowed_for_budget
-from swarm.planner.shortening import shorten
+from swarm.planner.shortening import AIMED_WIND, shorten
 from swarm.planning import Plan
 from swarm.planning.candidates import Candidate, candidates
 from swarm.planning.searched_foldings import may_search
@@ -119,21 +119,28 @@ def _shortest(
     """Return the cleared plan with the shortest fold that is found from a ``start``.
 
     It is as safe as the one ``before`` in all that the certificate states; where there is none,
-    lost setpoints never slow the clock.
+    lost setpoints never slow the clock. Where several are, it holds in :data:`AIMED_WIND`.
     """
     best, least_rate = before, 1.0 if before is None else _slowest(before.plan)
+    in_wind = False
 
     def accepted(shorter: Plan) -> bool:
-        nonlocal best
-        if best is not None and shorter.flight_duration >= best.plan.flight_duration:
+        nonlocal best, in_wind
+        longer = best is not None and shorter.flight_duration >= best.plan.flight_duration
+        if longer and (in_wind or best is before):
             return False
         _measure(shorter, None)
         if _slowest(shorter) < least_rate:
             return False
         again = PlanningResult(shorter, certify(shorter))
-        if again.certificate.cleared and _as_safe(again, before):
-            best = again
-        return best is again
+        if not (again.certificate.cleared and _as_safe(again, before)):
+            return False
+        holds = certified(
+            shorter, tracking=shorter.mission.vehicles.tracking, tilt=wind_tilt(shorter, AIMED_WIND)
+        )
+        if holds or best is before:
+            best, in_wind = again, holds
+        return holds
 
     shorten(start, accepted, progress or (lambda _stage, _share: None))
     if best is None or best is before:
