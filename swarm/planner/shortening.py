@@ -178,8 +178,8 @@ class Shortening:
         return through_states(shares * fold.duration, place, velocity, acceleration)
 
     def plan_with(self, fold: Fold) -> Plan:
-        """Return the plan with this fold."""
-        return with_fold(self.plan, self.motion(fold))
+        """Return the plan with this fold, in which vehicles follow no common path."""
+        return replace(with_fold(self.plan, self.motion(fold)), path=np.empty((0, 3)))
 
     def swinging_less(self, fold: Fold) -> "Shortening":
         """Return the problem with a lower limit of the swing, where lumped masses swing farther.

@@ -111,7 +111,7 @@ def read_plan(
             motion=_read_motion(motion),
             phases=tuple(Phase(**phase) for phase in document["phases"]),
             gates=tuple(Gate(**gate) for gate in document["gates"]),
-            path=np.array(document["path"], dtype=np.float64),
+            path=np.array(document["path"] if document["path"] != [] else np.empty((0, 3)), float),
             notes=tuple(document["notes"]),
         )
         _require_shapes(plan)

@@ -96,7 +96,8 @@ class Plan:
 
     ``layout`` is where the folded knot hangs, ENU metres. ``motion`` moves the n grip points from
     the pads (mission time 0) to the ground again. ``path`` (k, 3) is the curve that all vehicles
-    follow in the fold, for pictures. ``notes`` list the attempts of the planner.
+    follow in the fold, for pictures, and empty where they follow none. ``notes`` list the attempts
+    of the planner.
     """
 
     mission: Mission

@@ -146,7 +146,7 @@ def flight_figure(plan: Plan, trace: Trace) -> Figure:
 
 @mpl.rc_context(STYLE)
 def schedule_figure(plan: Plan) -> Figure:
-    """Return every vehicle's place along the fold's path, and its height, over time."""
+    """Return every vehicle's remaining way in the fold, and its height, over time."""
     figure = new_figure(8.0, 5.2)
     above, below = figure.subplots(2, 1, sharex=True)
     draw_schedule(above, plan)
@@ -619,33 +619,24 @@ def _around(middle: Floats, axes: Axes) -> Bbox:
 
 
 def draw_schedule(axes: Axes, plan: Plan) -> None:
-    """Draw each vehicle's place along the common path during the fold."""
+    """Draw how far each vehicle still has to go during the fold."""
     fold = plan.phase("fold")
     times = np.linspace(fold.start, fold.end, 400)
-    places = places_along_path(plan, times)
-    corners = places[-1]
-    step = LABEL_GAP * float(np.ptp(places))
-    labels = spread_labels(corners, step)
+    remaining = remaining_ways(plan, times)
+    labels = spread_labels(remaining[0], LABEL_GAP * float(np.ptp(remaining)))
     for i, colour in enumerate(along_colours(plan.vehicles)):
-        axes.axhline(corners[i], color=FAINT, linewidth=0.6, zorder=0)
-        axes.plot(times, places[:, i], color=colour, linewidth=1.4)
-        axes.text(times[-1], labels[i], f" {i + 1}", fontsize=7.5, va="center", color=colour)
-    axes.set(ylabel="along the path, m", title="Schedule: each vehicle stops at its own corner")
+        axes.plot(times, remaining[:, i], color=colour, linewidth=1.4)
+        axes.text(
+            times[0], labels[i], f"{i + 1} ", fontsize=7.5, ha="right", va="center", color=colour
+        )
+    axes.set(ylabel="way to its corner, m", title="How far each vehicle still has to go")
 
 
-def places_along_path(plan: Plan, times: Floats) -> Floats:
-    """Return each vehicle's arc length (k, n) on the fold's path at mission times (k,), metres.
-
-    It is the arc length of the vehicle's corner minus its remaining distance, and negative before
-    the start of the path.
-    """
-    position = plan.motion.at(times)[0]
-    step = np.linalg.norm(np.diff(position, axis=0), axis=-1)
-    remaining = np.vstack([step[::-1].cumsum(axis=0)[::-1], np.zeros(plan.vehicles)])
-    arc = np.append(0.0, np.linalg.norm(np.diff(plan.path, axis=0), axis=1).cumsum())
-    apart = np.linalg.norm(plan.path[:, None] - plan.layout.corners, axis=-1)
-    places: Floats = arc[apart.argmin(axis=0)] - remaining
-    return places
+def remaining_ways(plan: Plan, times: Floats) -> Floats:
+    """Return the lengths (k, n) of the ways that vehicles still go from mission times (k,) on to
+    the last of these, metres."""
+    step = np.linalg.norm(np.diff(plan.motion.at(times)[0], axis=0), axis=-1)
+    return np.vstack([step[::-1].cumsum(axis=0)[::-1], np.zeros(plan.vehicles)])
 
 
 def draw_heights(axes: Axes, plan: Plan) -> None:

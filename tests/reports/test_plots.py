@@ -135,15 +135,17 @@ def test_a_plan_without_a_grid_is_drawn_without_one() -> None:
     assert len(plots.plan_figure(PLAN).axes) == 3
 
 
-def test_places_along_the_path_end_at_the_corners() -> None:
+def test_remaining_ways_end_at_the_corners_and_begin_with_all_of_the_way() -> None:
     fold = PLAN.phase("fold")
-    times = np.linspace(fold.start, fold.end, 50)
-    places = plots.places_along_path(PLAN, times)
-    arc = np.append(0.0, np.linalg.norm(np.diff(PLAN.path, axis=0), axis=1).cumsum())
-    assert places[-1, 0] == pytest.approx(0.0, abs=1e-9)
-    assert places[-1, -1] == pytest.approx(arc[-1], abs=1e-9)
-    assert (np.diff(places, axis=0) >= 0).all()
-    assert (np.diff(places[-1]) > 0).all()
+    times = np.linspace(fold.start, fold.end, 400)
+    remaining = plots.remaining_ways(PLAN, times)
+    assert (remaining[-1] == 0.0).all()
+    assert (np.diff(remaining, axis=0) <= 0.0).all()
+    first, last = PLAN.motion.at(times[[0, -1]])[0]
+    assert (remaining[0] >= np.linalg.norm(last - first, axis=1) - 1e-9).all()
+    speed = np.linalg.norm(PLAN.motion.at(times)[1], axis=2)
+    whole = np.trapezoid(speed, times, axis=0)
+    assert remaining[0] == pytest.approx(whole, rel=1e-3)
 
 
 def test_schedule_picture_is_written(tmp_path: Path) -> None:
