@@ -588,8 +588,7 @@ class Problem:
         """Yield the poses after losses of setpoints, of all vehicles and of each one.
 
         When they have moved as far as they do; the others advance meanwhile as little and as far as
-        they may. On the way there they come no nearer that a certificate was seen to ask for it
-        (results of plans, optimised folds).
+        they may. Poses on the way there changed no fold (results of plans, optimised folds).
         """
         at, some, every = self.basis, slice(0, None, LOSS_EVERY), np.arange(len(self.folded))
         seconds, rows = coasting.lost, np.arange(len(coasting.others))
