@@ -55,13 +55,18 @@ def refusal(data):
     return str(error.value)
 
 
-@pytest.mark.parametrize("make", [sideways, hover, trefoil_plan])
+def without_path():
+    return replace(sideways(), path=np.empty((0, 3)))
+
+
+@pytest.mark.parametrize("make", [sideways, hover, trefoil_plan, without_path])
 def test_a_plan_is_read_from_its_file_bit_by_bit(make):
     plan = replace(make(), notes=("said by the planner",))
     data = plan_file(plan)
     again = read_plan_file(data, "a.plan").plan
     assert digest(again) == digest(plan)
     assert again.notes == plan.notes
+    assert again.path.shape == plan.path.shape
     assert again.path.tobytes() == plan.path.tobytes()
     assert plan_file(again) == data
 
