@@ -737,14 +737,15 @@ def certify_stream_loss(
             on.times, on.rates, np.ones(len(on.times)), on.worst, on.times[on.infeasible], model,
             name,
         )  # fmt: skip
-    times = _times(*fold[:2])
+    start, end, _ = fold
+    times = _times(start, end)
     # mission time t is ``turned`` − t of the reversed motion
     turned = float(plan.motion.times[0] + plan.motion.times[-1])
     turned_plan = replace(plan, motion=reverse(plan.motion))
     on, back = both(
         limits,
         lambda: _limits_of(
-            turned_plan, model, turned - times[::-1], turned - fold[0], partial(report, "back")
+            turned_plan, model, turned - times[::-1], turned - start, partial(report, "back")
         ),
     )
     worst = replace(back.worst, time=turned - back.worst.time)

@@ -23,7 +23,7 @@ from swarm.certification.clearances import PlanChecks, Robustness, certified
 from swarm.mission import Mission
 from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower
 from swarm.planner.repairs import Kept, Unfinished, least_short, repair, slowed_for_budget
-from swarm.planner.shortening import AIMED_WIND, shorten
+from swarm.planner.shortening import aimed_wind, shorten
 from swarm.planning import Plan
 from swarm.planning.candidates import Candidate, candidates
 from swarm.planning.searched_foldings import may_search
@@ -119,7 +119,7 @@ def _shortest(
     """Return the cleared plan with the shortest fold that is found from a ``start``.
 
     It is as safe as the one ``before`` in all that the certificate states; where there is none,
-    lost setpoints never slow the clock. Where several are, it holds in :data:`AIMED_WIND`.
+    lost setpoints never slow the clock. Where any does, it holds in :func:`.aimed_wind`.
     """
     best, least_rate = before, 1.0 if before is None else _slowest(before.plan)
     in_wind = False
@@ -135,9 +135,8 @@ def _shortest(
         again = PlanningResult(shorter, certify(shorter))
         if not (again.certificate.cleared and _as_safe(again, before)):
             return False
-        holds = certified(
-            shorter, tracking=shorter.mission.vehicles.tracking, tilt=wind_tilt(shorter, AIMED_WIND)
-        )
+        tilt = wind_tilt(shorter, aimed_wind(shorter.mission))
+        holds = certified(shorter, tracking=shorter.mission.vehicles.tracking, tilt=tilt)
         if holds or best is before:
             best, in_wind = again, holds
         return holds

@@ -482,7 +482,7 @@ class Problem:
             partial(self._smoothness, control.reshape(self.count, -1), fold.duration),
         ]
         costs, shown = zip(*in_two_sums(terms, slopes), strict=True)
-        records, (speed, acceleration_, sinking, _) = shown[: len(compared)], shown[-4:]
+        records, (fastest, hardest, sinking, _) = shown[: len(compared)], shown[-4:]
         swings = np.stack(shown[len(compared) : -4], axis=1)
         ahead = self._before_fold(fold.pose, frozen, records[0], slopes)
         return Evaluation(
@@ -491,8 +491,8 @@ class Problem:
             missed_after_losses=max(
                 (float(each.missed.max()) for each in records[1:]), default=0.0
             ),
-            speed=speed,
-            acceleration=acceleration_,
+            speed=fastest,
+            acceleration=hardest,
             swing=float(swings.max()),
             swings=swings,
             sinking=sinking,
@@ -732,7 +732,7 @@ class Problem:
         depths, later = responded(held, lost), responded(stretched, lost)
         for k in np.flatnonzero(depths.max(axis=0) >= _LEAST_SUNK * self.limits.sinking):
             depth, sunk = depths[:, k : k + 1], depths[:, k : k + 1] > 0.0
-            rows = np.zeros((s, 2, 3 * self.count))
+            rows = np.zeros((0 if slopes is None else s, 2, 3 * self.count))
             if slopes is not None:
                 force = by_place[:, k, None] * self.basis.values[0][:, :, None]
                 rows[:, 1] = responded(held, force.reshape(s, -1)) * sunk

@@ -75,7 +75,7 @@ _ROOM, _ROOM_AFTER_LOSS, _MORE_AFTER_LOSS = 0.02, 0.05, 0.05
 for a tracking error or a wind that are a little larger than asked for;
 after lost setpoints, and in every further round where the certificate's bound needs more."""
 
-AIMED_WIND = 1.0
+_AIMED_WIND = 1.0
 """Steady wind, m/s, in which strands are kept apart at least: folds that use all room in still air
 would hold in none, and in this one they are 0.0 s (overhand) and 0.3 s (figure-eight) longer."""
 
@@ -237,6 +237,11 @@ def _slow_enough(short: Shortening, fold: Fold) -> tuple[Fold, Frozen]:
     return fold, _measured_first(short, fold)
 
 
+def aimed_wind(mission: Mission) -> float:
+    """Return the steady wind, m/s, in which a shorter fold is to hold."""
+    return max(_AIMED_WIND, mission.wind.steady)
+
+
 class Wanted(NamedTuple):
     """Least needs of strands (s, m, m), and of vehicles and strands (s, n, m), that the certificate
     asks for, metres."""
@@ -313,7 +318,7 @@ def _team(plan: Plan, tracking: float, room: float, swing: float) -> Team:
         floor=clearance.floor + radius + swing + room,
         aside=clearance.vehicle + 2.0 * tracking + room,
         above=clearance.downwash + 2.0 * tracking + room,
-        tilt=wind_tilt(plan, max(AIMED_WIND, mission.wind.steady)) if tracking else 0.0,
+        tilt=wind_tilt(plan, aimed_wind(mission)) if tracking else 0.0,
     )
 
 
@@ -498,8 +503,7 @@ def _wanted(short: Shortening, plan: Plan, needs: Needs, before: Wanted) -> Want
     bodies = before.bodies.copy()
     segments = {segment_name(k): k for k in range(plan.vehicles - 1)}
     vehicles = {vehicle_name(k): k for k in range(plan.vehicles)}
-    wind = max(AIMED_WIND, plan.mission.wind.steady)
-    for moment in (*violations(plan), *violations_in_wind(plan, wind)):
+    for moment in (*violations(plan), *violations_in_wind(plan, aimed_wind(plan.mission))):
         first, second = moment.between
         around = np.abs(at - moment.time) <= _AROUND
         for least, need, names in (

@@ -929,15 +929,31 @@ def oscillate(
     for k in range(columns):
         place[k] = speed[k] = swings[0, k] = 0.0
     for t in range(1, count):
-        square, drag = 0.5 * (squares[t] + squares[t - 1]), 0.5 * (damping[t] + damping[t - 1])
-        below = 1.0 + 0.5 * step * drag + 0.25 * step * step * square
-        kept = 1.0 - 0.5 * step * drag - 0.25 * step * step * square
+        rule = _trapezoid(squares, damping, t, step)
         for k in range(columns):
-            pushed = -0.5 * (force[t, k] + force[t - 1, k])
-            faster = (speed[k] * kept + step * (pushed - square * place[k])) / below
-            place[k] += 0.5 * step * (speed[k] + faster)
-            speed[k] = faster
+            mean = 0.5 * (force[t, k] + force[t - 1, k])
+            place[k], speed[k] = _swung_on(place[k], speed[k], mean, step, rule)
             swings[t, k] = place[k]
+
+
+@inner
+def _trapezoid(squares: Floats, damping: Floats, t: int, step: float) -> Vector:
+    """Return ω² between a moment and the one before, and what the new and the old speed are
+    multiplied by there."""
+    square, drag = 0.5 * (squares[t] + squares[t - 1]), 0.5 * (damping[t] + damping[t - 1])
+    new = 1.0 + 0.5 * step * drag + 0.25 * step * step * square
+    old = 1.0 - 0.5 * step * drag - 0.25 * step * step * square
+    return square, new, old
+
+
+@inner
+def _swung_on(
+    place: float, speed: float, force: float, step: float, rule: Vector
+) -> tuple[float, float]:
+    """Return place and speed of an oscillator after a step with a mean force."""
+    square, new, old = rule
+    faster = (speed * old + step * (-force - square * place)) / new
+    return place + 0.5 * step * (speed + faster), faster
 
 
 @compiled
@@ -952,14 +968,10 @@ def oscillate_by_points(
     (k,); ``speed`` (s, 3) is that of the strand. ``memory`` (3, c, 3k) is 0.
     """
     count, axes, points = len(rows), rows.shape[1] - 1, velocity.shape[1]
-    place, faster, force = memory[0], memory[1], memory[2]
+    place, rate, force = memory[0], memory[1], memory[2]
     begun = 0
     for t in range(count):
-        before = max(t - 1, 0)
-        square = 0.5 * (mode.squares[t] + mode.squares[before])
-        damping = 0.5 * (mode.damping[t] + mode.damping[before])
-        below = 1.0 + 0.5 * step * damping + 0.25 * step * step * square
-        kept = 1.0 - 0.5 * step * damping - 0.25 * step * step * square
+        rule = _trapezoid(mode.squares, mode.damping, max(t, 1), step)
         size, moving = 0.0, t < len(speed)
         if moving:
             size = np.sqrt(speed[t, 0] ** 2 + speed[t, 1] ** 2 + speed[t, 2] ** 2) + 1e-9
@@ -974,13 +986,12 @@ def oscillate_by_points(
                         if x == y:
                             pushed += acceleration[t, c] + mode.drag * size * velocity[t, c]
                     pushed *= mode.response
-                    mean = -0.5 * (pushed + force[x, r])
+                    mean = 0.5 * (pushed + force[x, r])
                     force[x, r] = pushed
                     if t > 0:
-                        here = faster[x, r]
-                        after = (here * kept + step * (mean - square * place[x, r])) / below
-                        place[x, r] += 0.5 * step * (here + after)
-                        faster[x, r] = after
+                        place[x, r], rate[x, r] = _swung_on(
+                            place[x, r], rate[x, r], mean, step, rule
+                        )
                     rows[t, 1 + x, r] = mode.gain[t] * place[x, r]
 
 
