@@ -19,7 +19,7 @@ from swarm.flight.failures import ENDS, End, Response, Windows
 from swarm.flight.observing import follow_swing, monitor
 from swarm.flight.pace import advance_clock, allowed_pace, rewind_end
 from swarm.flight.router import answer_limit
-from swarm.flight.separation import separation_motion, spread_here
+from swarm.flight.separation import AWAY, separation_motion, spread_here
 from swarm.flight.stages import Stage, Step, StepTrigger, Trigger
 from swarm.flight.state import Contingency, FlightState
 from swarm.flight.streams import continue_rejoining, outside
@@ -503,7 +503,7 @@ def _open_grippers(flight: FlightState, order: Sequence[int]) -> None:
 
 def _release(flight: FlightState) -> None:
     """Wait until the grippers are open and the team is at rest, in the plan or in its descent."""
-    flight.clock.target = 0.0
+    flight.clock.urgent, flight.clock.target = True, 0.0
     advance_clock(flight)
     flight.guidance.go_down(flight.timing.moving, 0.0)
     contingency, fallen = contingency_of(flight), flight.streams.fallen
@@ -538,36 +538,41 @@ def _release(flight: FlightState) -> None:
 def _begin_separation(flight: FlightState) -> None:
     """Take the path apart that the plan has for this moment, or away from the team's centre.
 
-    A vehicle that does not follow stays where it is, or drifts without a position and is commanded
-    to land; the others move away from it. From two such vehicles, no path leads away without
-    leading towards one of them.
+    A vehicle that does not follow stays where it is, or drifts without a position; the others move
+    away from it. From two such vehicles, no path leads away without leading towards one of them.
     """
-    for k in adrift(flight):
-        flight.streams.switch(k, on=False)
     setup, streams = flight.setup, flight.streams
     mission, start = setup.plan.mission, streams.setpoint.copy()
-    staying = not_following(flight)
+    staying = sorted({*adrift(flight), *not_following(flight)})
+    follows, away = streams.active.copy(), AWAY
+    follows[staying] = False
     if streams.fallen:
         fallen = min(streams.fallen)
         centre, spread = start[fallen], setup.separations.at(flight.clock.time, fallen)
     elif len(staying) > 1:
+        _land_adrift(flight)
         _begin_descent(flight, StepTrigger.SURROUNDED)
         return
     elif staying:
         (stays,) = staying
         position = flight.observation.position[stays]
-        if np.isfinite(position).all():
+        if not streams.active[stays] and np.isfinite(position).all():
             start[stays] = position
         centre, spread = start[stays], setup.separations.at(flight.clock.time, stays)
     else:
-        centre, spread = start.mean(axis=0), spread_here(start, mission)
-    motion = separation_motion(start, centre, spread, mission, streams.active)
+        centre, away, spread = start.mean(axis=0), 0.0, spread_here(start, mission)
+    motion = separation_motion(start, centre, away, spread, mission, follows)
     flight.guidance.follow(motion, flight.timing.moving)
     contingency_of(flight).change_step(StepTrigger.RELEASED, flight.now)
 
 
 def _separate(flight: FlightState) -> None:
-    """Move apart; then stay above a vehicle that lands without setpoints, for T at most."""
+    """Move apart; then stay above a vehicle that lands without setpoints, for T at most.
+
+    A vehicle that drifts is commanded to land when the others have moved out of its way.
+    """
+    if flight.now - contingency_of(flight).step_since > flight.guidance.duration:
+        _land_adrift(flight)
     alone = [
         (k, flight.roster.vehicles[k])
         for k in not_following(flight)
@@ -581,6 +586,12 @@ def _separate(flight: FlightState) -> None:
     longest = flight.guidance.duration + (flight.setup.fleet.limits.hold if lands else 0.0)
     if flight.now - contingency_of(flight).step_since > longest:
         _begin_descent(flight, StepTrigger.APART)
+
+
+def _land_adrift(flight: FlightState) -> None:
+    """Let vehicles without a position land by themselves: setpoints lead them nowhere."""
+    for k in adrift(flight):
+        flight.streams.switch(k, on=False)
 
 
 # Descent

@@ -261,7 +261,9 @@ def test_a_team_separates_as_far_as_obstacles_allow(height):
     still = moving([0.0, 1.0], [start, start])
     free = beside(still, obstacles=[]).mission
     mission = beside(still, obstacles=[table]).mission
-    apart, near = (separation_motion(start, start[0], 3.0, one, FOLLOW) for one in (free, mission))
+    apart, near = (
+        separation_motion(start, start[0], 0.0, 3.0, one, FOLLOW) for one in (free, mission)
+    )
     assert apart.at(apart.times[-1])[0][1] == pytest.approx([4.5, 0.0, 5.0 + UP])
     end = near.at(near.times[-1])[0]
     needed = mission.vehicles.radius + mission.clearance.obstacle + TRACKING
@@ -278,11 +280,11 @@ def test_a_team_that_need_not_move_apart_does_to_come_down_beside_a_table():
     table = {"name": "table", "shape": "box", "centre": [0.2, 3.0], "size": [1.6, 0.8],
              "top": 0.75}  # fmt: skip
     mission = beside(moving([0.0, 1.0], [start, start]), obstacles=[table]).mission
-    motion = separation_motion(start, start.mean(axis=0), 1.0, mission, np.ones(3, dtype=bool))
+    motion = separation_motion(start, start.mean(axis=0), 0.0, 1.0, mission, np.ones(3, dtype=bool))
     end = motion.at(motion.times[-1])[0]
     assert end[2, 1] > 3.4 + mission.vehicles.radius + CLEARANCE + TRACKING
     free = beside(moving([0.0, 1.0], [start, start]), obstacles=[]).mission
-    motion = separation_motion(start, start.mean(axis=0), 1.0, free, np.ones(3, dtype=bool))
+    motion = separation_motion(start, start.mean(axis=0), 0.0, 1.0, free, np.ones(3, dtype=bool))
     assert motion.at(motion.times[-1])[0][:, :2] == pytest.approx(start[:, :2])
 
 
@@ -290,7 +292,7 @@ def separated(start, obstacle, spread):
     """The mission, and where three vehicles are while they separate, from the first to the last."""
     still = moving([0.0, 1.0], [start, start])
     mission = beside(still, obstacles=[obstacle]).mission
-    motion = separation_motion(start, start[0], spread, mission, FOLLOW)
+    motion = separation_motion(start, start[0], 0.0, spread, mission, FOLLOW)
     return mission, motion.at(np.linspace(motion.times[0], motion.times[-1], 50))[0]
 
 

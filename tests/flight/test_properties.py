@@ -17,6 +17,7 @@ from pymavlink.dialects.v20 import common
 from swarm.flight.contingency import GIVE_UP
 from swarm.flight.failures import FailureKind, Response
 from swarm.flight.requests import REQUESTS
+from swarm.flight.separation import AWAY
 from swarm.flight.stages import STEP_TRANSITIONS, TRANSITIONS, Stage, Step
 from swarm.mavlink.packets import Decoder, Encoder
 from swarm.simulation.failure_cases import FAILURE_CASES
@@ -232,6 +233,27 @@ def test_the_others_move_apart_from_where_a_pilot_has_taken_a_vehicle():
     streams = flights.flight.state.streams
     assert np.linalg.norm(streams.setpoint[0] - before[0]) > 0.2
     assert streams.active.tolist() == [False, True, True]
+    flights.teardown()
+
+
+def test_a_vehicle_without_a_fix_lands_when_the_others_are_out_of_its_way():
+    """An ordinary stop takes 8 s: the team that releases stops urgently, and moves away at once,
+    before dead reckoning ends after 5 s."""
+    flights = Flights()
+    flights.take_off(team="px4", phase="fold")
+    flights.fault(system=2, values={"kind": "gps_loss"})
+    flight = flights.flight
+    state = flight.state
+    while state.contingency is None or state.contingency.step.name != "SEPARATE":
+        flight.step()
+    assert flight.now - state.contingency.since < 2.0
+    place = state.streams.setpoint[:, :2].copy()
+    before = np.linalg.norm(place - place[1], axis=1)[[0, 2]]
+    while state.streams.active[1]:
+        flight.step()
+    moved = np.linalg.norm(state.streams.setpoint[:, :2] - place[1], axis=1)[[0, 2]] - before
+    assert state.contingency.step.name == "SEPARATE"
+    assert (moved > 0.9 * AWAY).all(), moved
     flights.teardown()
 
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from swarm.flight.separation import MOST_SPREAD, UP, separation_motion, separations
+from swarm.flight.separation import AWAY, MOST_SPREAD, UP, separation_motion, separations
 from tests.network import sideways, small_plan
 
 PLAN = small_plan(vehicles=4).plan
@@ -22,7 +22,7 @@ def test_no_distance_decreases_during_a_separation():
     rng = np.random.default_rng(4)
     for _ in range(20):
         start = rng.uniform([-4.0, -4.0, 4.0], [4.0, 4.0, 12.0], (6, 3))
-        motion = separation_motion(start, start[2], 2.5, MISSION, np.ones(6, bool))
+        motion = separation_motion(start, start[2], 1.5, 2.5, MISSION, np.ones(6, bool))
         times = np.linspace(motion.times[0], motion.times[-1], 40)
         distances = horizontal_distances(motion.at(times)[0])
         assert (np.diff(distances, axis=0) >= -1e-6).all()
@@ -30,9 +30,22 @@ def test_no_distance_decreases_during_a_separation():
         assert np.allclose(motion.at(times[0])[0], start)
 
 
+def test_all_move_away_from_a_failed_vehicle_first_and_as_fast_as_they_can():
+    start = np.array([[0.0, 0, 5], [0.5, 0, 4], [0, 8, 6], [-3, -4, 5]])
+    motion = separation_motion(start, start[0], AWAY, 2.0, MISSION, np.arange(4) > 0)
+    distances = np.linalg.norm(motion.at(motion.times)[0][..., :2] - start[0, :2], axis=2)
+    aside = [0.0, 0.5 + AWAY, 8.0 + AWAY, 5.0 + AWAY]
+    (k,) = np.flatnonzero(np.isclose(distances, aside).all(axis=1))
+    vehicles = MISSION.vehicles
+    thrust = vehicles.max_acceleration - vehicles.braking_acceleration
+    assert motion.times[k] <= np.sqrt(5.8 * AWAY / thrust) * 1.01
+    assert distances[-1] == pytest.approx([0.0, 1.0 + AWAY, 16.0 + AWAY, 10.0 + AWAY])
+
+
+@pytest.mark.parametrize("away", [0.0, AWAY])
 @pytest.mark.parametrize("room", [1.6, 0.3])
 @pytest.mark.parametrize(("spread", "pillars"), [(3.0, []), (1.0, [[-2, 3]])])
-def test_a_separation_stays_inside_the_fence(spread, pillars, room):
+def test_a_separation_stays_inside_the_fence(spread, pillars, room, away):
     """A vehicle that is nearer than planned comes no nearer; over a pillar, a wider one is tried."""
     start = np.array([[0.0, 0, 5], [3, 0, 5], [-2, 3, 5], [-2, room - 4.0, 5]])
     pillar = {"name": "pillar", "shape": "cylinder", "radius": 0.5, "top": 1.0}
@@ -42,9 +55,9 @@ def test_a_separation_stays_inside_the_fence(spread, pillars, room):
     reached = []
     for settings in ((free,), (free, fenced)):
         mission = sideways(*settings).mission
-        motion = separation_motion(start, start[0], spread, mission, np.arange(4) > 0)
+        motion = separation_motion(start, start[0], away, spread, mission, np.arange(4) > 0)
         end = motion.at(motion.times[-1])[0]
-        assert end[:, 2] == pytest.approx(5.0 + UP)
+        assert end[1:, 2] == pytest.approx(5.0 + UP)
         reached.append(np.abs(end[:, :2]).max(axis=1))
     assert reached[0].max() > 4.0
     needed = mission.vehicles.radius + mission.vehicles.tracking
