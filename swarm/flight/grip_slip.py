@@ -31,8 +31,8 @@ Floats = npt.NDArray[np.float64]
 INTERVAL = 0.25
 """Seconds between two samples."""
 WINDOW = 4
-"""Samples over which an impulse is balanced: a second. Attitudes and velocities then leave 0.02 N
-RMS of each axis in a dry run of the overhand, of which the swinging of the cable is a third."""
+"""Samples over which an impulse is balanced: a second. Attitudes and velocities then leave 0.015 N
+RMS of each axis in a dry run of the overhand, 0.03 N with five vehicles."""
 DRAG_TIME = 30.0
 """Seconds in which the fitted drag forgets."""
 DRAG_PRIOR = 0.5

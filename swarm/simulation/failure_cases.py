@@ -41,8 +41,8 @@ class FailureCase:
       stays where it is and the others with it; one more strike may happen where the team can
       neither land nor release without cable on a rotor. With ``lands_alone`` the failsafes
       of the autopilots land the vehicles where they are; one more strike may happen where the
-      plan has no window for landing. During the first ``fall_time`` seconds any number may: the
-      cable falls because of the fault.
+      plan has no window for landing. With ``cable_falls`` the fault itself lets a strand fall: its
+      strikes are not counted where the plan has cable above rotors meanwhile.
     - ``stream_loss``: vehicles fly on without setpoints, so the worst case of the stream loss
       certificate applies: the mission's own clearances.
     - ``needs_cable``: without cable there is no such fault, or none that has to slow the team.
@@ -66,7 +66,7 @@ class FailureCase:
     own_strikes: bool = False
     cannot_follow: bool = False
     lands_alone: bool = False
-    fall_time: float = 0.0
+    cable_falls: bool = False
     stream_loss: bool = False
     explanation: str = ""
     station_fault: StationFault | None = None
@@ -341,11 +341,12 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         needs_cable=True,
         may_be_hidden=True,
         moves_certified=True,
-        fall_time=1.0,
+        cable_falls=True,
         explanation=(
             "the cable between its neighbours becomes one long strand; the slip is detected from "
             "their lean, and where that changes by less than 0.2 N only after the team has moved; "
-            "where the cable passed close above a vehicle, it falls on the rotor within a second"
+            "where cable is above a vehicle as it falls, or comes there in its first swing, it "
+            "falls on the rotor"
         ),
     ),
     FailureCase(

@@ -27,6 +27,7 @@ from swarm.errors import InputError, Problem, reason
 from swarm.flight.failures import FailureKind, Response
 from swarm.flight.flight_plan import FlightPlan
 from swarm.flight.snapshot import Event
+from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.geometry.solids import distances, grown, obstacles_of
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
@@ -64,8 +65,8 @@ class FaultTrial:
     - ``strand_distance`` and ``vehicle_distance``: the smallest distance between strands, and the
       smallest horizontal distance between vehicles that are not apart in height; metres, infinite
       where never evaluated. ``chord_ratio``: the largest chord over length.
-    - ``rotor_strikes`` on cable, ``exempt_strikes`` of them as the case's ``fall_time`` and
-      ``own_strikes`` say;
+    - ``rotor_strikes`` on cable, ``exempt_strikes`` of them as the case's ``cable_falls``
+      and ``own_strikes`` say;
       ``vehicles_lost``; ``end`` of the flight; ``problems``: the violated requirements;
       ``obstacle_contacts``: what touched which obstacle; ``fence_exits``: which vehicles but the
       failed one flew out of the fence.
@@ -183,12 +184,10 @@ class GroundTruthMonitor:
         else:
             self.hidden_time += SAMPLE_INTERVAL
 
-    def rotor_strikes(self, until: float = np.inf, system: int | None = None) -> int:
-        """Return the number of rotor strikes on cable up to a time, of one vehicle or of all."""
+    def rotor_strikes(self, system: int | None = None) -> list[float]:
+        """Return the times of rotor strikes on cable, of one vehicle or of all."""
         strikes = self._flight.emulator.truth().strikes[self._earlier_strikes :]
-        return sum(
-            strike["time"] <= until and system in {None, strike["vehicle"]} for strike in strikes
-        )
+        return [strike["time"] for strike in strikes if system in {None, strike["vehicle"]}]
 
     def vehicles_lost(self) -> int:
         """Return the number of vehicles that crashed or collided with another vehicle."""
@@ -222,7 +221,9 @@ def evaluate(
     """Return the trial of a fault whose flight has ended."""
     case, began = injection.case, injection.time
     system = flight.conductor.flyers[injection.vehicle].system
-    falls = monitor.rotor_strikes(began + case.fall_time) if case.fall_time else 0
+    exempt = monitor.rotor_strikes(system) if case.own_strikes else []
+    if case.cable_falls:
+        exempt = _below_falling(flight, injection, monitor.rotor_strikes())
     events = [event for event in flight.events if event.kind in {"failure", "hold", "contingency"}]
     if case.station_fault:
         events += [event for event in flight.events if event.kind == "operator"]
@@ -241,13 +242,13 @@ def evaluate(
         strand_distance=monitor.strand_distance,
         vehicle_distance=monitor.vehicle_distance,
         chord_ratio=monitor.chord_ratio,
-        rotor_strikes=monitor.rotor_strikes(),
+        rotor_strikes=len(monitor.rotor_strikes()),
         vehicles_lost=monitor.vehicles_lost(),
         end=_end(flight, case),
         problems=(),
         hidden_time=monitor.hidden_time,
         visible_time=monitor.visible_time,
-        exempt_strikes=monitor.rotor_strikes(system=system) if case.own_strikes else falls,
+        exempt_strikes=len(exempt),
         obstacle_contacts=tuple(monitor.obstacle_contacts),
         fence_exits=tuple(monitor.fence_exits),
     )
@@ -322,6 +323,32 @@ def _landed_alone_outside_window(
     stopped = lost + float(coast_time.max() if whole_team else coast_time[trial.vehicle - 1])
     can_land = state.setup.windows.can_land
     return alone and not all(can_land(time) for time in np.arange(lost, stopped, SAMPLE_INTERVAL))
+
+
+def _below_falling(
+    flight: SteppedSimulation, injection: Injection, strikes: Sequence[float]
+) -> list[float]:
+    """Return the strikes by a strand that has lost a grip and falls on rotors below it.
+
+    Until then the plan has had cable above a rotor, and the strand of both segments swings for the
+    first time: 5.2 √(ℓ/2g) is its period where its ends are together.
+    """
+    lengths = flight.flight_plan.plan.layout.lengths
+    length = float(lengths[max(injection.vehicle - 1, 0) : injection.vehicle + 1].sum())
+    period = 5.2 * math.sqrt(0.5 * length / STANDARD_GRAVITY)
+    end, may_fall = flight.conductor.clock.time, flight.conductor.state.setup.windows.may_fall
+
+    def falls_on_rotor(duration: float) -> bool:
+        """Return whether cable was above a rotor in the seconds after the fault."""
+        last = max(min(injection.mission_time + duration, end), injection.mission_time)
+        moments = np.append(np.arange(injection.mission_time, last, SAMPLE_INTERVAL), last)
+        return not all(may_fall(moment) for moment in moments)
+
+    return [
+        strike
+        for strike in strikes
+        if strike <= injection.time + period and falls_on_rotor(strike - injection.time)
+    ]
 
 
 def _certified_distances(flight: SteppedSimulation, case: FailureCase) -> tuple[float, float]:
