@@ -87,7 +87,7 @@ def shaping_figure(shaped: Plan, time_optimal: Plan) -> Figure:
     """
     figure, axes = new_axes((8.0, 3.0))
     for plan, words, colour in (
-        (time_optimal, "time-optimal", START), (shaped, "as planned: shaped and slowed", END)
+        (time_optimal, "time-optimal", START), (shaped, "as planned", END)
     ):  # fmt: skip
         _draw_planned_swing(axes, plan, words, colour)
     since = "time since the beginning of the fold, s (dotted: its end)"

@@ -33,7 +33,7 @@ FIVE = Path(__file__).parents[1] / "missions" / "overhand_five.yaml"
 
 def five(method: str) -> PlanningResult:
     text = FIVE.read_text(encoding="utf-8")
-    text = text.replace("fold: {", f"fold: {{method: {method}, ")
+    text = text.replace("method: optimised", f"method: {method}")
     return planner.plan(parse_mission(text, str(FIVE)), robustness=False)
 
 
