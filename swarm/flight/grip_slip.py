@@ -141,8 +141,9 @@ class GripSlipDetector:
         if len(self._samples) <= WINDOW:
             return None
         time = now - self._samples[0][0]
-        moving = _mean([speed for _, speed, _ in self._samples])
-        mean = _mean([force for _, _, force in self._samples])
+        # Without the first sample, a force that changes by 0.6 N in 0.25 s would lead by 0.08 N.
+        moving = np.trapezoid([speed for _, speed, _ in self._samples], axis=0) / WINDOW
+        mean = np.trapezoid([force for _, _, force in self._samples], axis=0) / WINDOW
         residual = self._mass * (velocity[:, :2] - self._samples[0][1]) / time - mean
         before = residual + self._drag * moving if self._bias is None else self._bias
         residual = self._without_drag(residual, moving, before)
@@ -222,16 +223,6 @@ class _Held(NamedTuple):
     on_first: Floats
     on_last: Floats
     pull: Floats
-
-
-def _mean(samples: list[Floats]) -> Floats:
-    """Return the mean over the time of a window, by the trapezoidal rule.
-
-    Without the first sample, or with the whole of it, a force that changes by 0.6 N in 0.25 s leads
-    the velocity by 0.08 N.
-    """
-    mean: Floats = (sum(samples) - 0.5 * (samples[0] + samples[-1])) / (len(samples) - 1)
-    return mean
 
 
 @compiled

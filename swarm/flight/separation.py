@@ -31,8 +31,8 @@ _SPREADS = 13
 """Spreads that are tried where obstacles or the fence are in the way, down to 1 and up to
 MOST_SPREAD: twelfths of the way."""
 AWAY = 3.0
-"""Metres by which all move away from a failed vehicle at first. Without a position it drifts past
-its neighbours at 0.4 m/s in simulated flights, for 5 s until it lands by itself."""
+"""Metres by which all move away from a failed vehicle at first. Without a position it drifts at
+0.4 m/s (the emulator's mean), by 2 m until PX4's dead reckoning ends and it lands, after 5 s."""
 SHARE_OF_SPEED = 0.5
 """Share of the vehicles' largest speed and acceleration that the rest of a separation uses."""
 
