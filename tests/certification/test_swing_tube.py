@@ -74,7 +74,8 @@ def flown(plan: Plan, change: float | None, step: float, course: Course = COURSE
     limits = clock_limits(plan.motion, plan.mission.vehicles.braking_acceleration)
     clock = MissionClock(limits, time=change, urgent=course.urgent)
     clock.set_running()
-    times = list(np.arange(first, change, step))
+    # whole steps up to the change: the time would jump there by one and a part of one
+    times = [*np.arange(first + (change - first) % step, change - step / 2, step), change]
     for k in range(round(course.duration / step)):
         clock.target = 0.0 if k * step < course.stopped else course.target
         clock.advance(step, first, last)
