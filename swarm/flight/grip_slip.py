@@ -12,7 +12,6 @@ horizontal parts are enough, and forces within the team cancel in them.
 
 import math
 from collections import deque
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -47,8 +46,9 @@ MIN_SHARE, MAX_SHARE = 0.5, 3.0
 """Shares of a pattern in the residual between which it counts; about 0 without a slip, about 1 with
 one. Up to 2.7 were measured for a second while the joined strand falls into its place; a caught
 strand reaches more."""
-NOISE_FORCE = 0.2
-"""Newtons; a slip that changes the team's horizontal loads by less is not distinct from noise."""
+NOISE_FORCE, LEAST_EXPLAINED = 0.2, 0.17
+"""Newtons; a slip that changes the team's horizontal loads by less is not distinct from noise; and
+the residual that a pattern must explain: all of it is less in 99 of 100 samples without a slip."""
 MIN_FIT, MIN_WEAK_FIT = 0.6, 0.4
 """Shares of the residual that the pattern must explain: for a clear match, and for a weak one,
 where the pattern is no stronger than a model error of 0.2 N all over the team."""
@@ -61,16 +61,6 @@ the vehicles farther away is subtracted: weak slips differ by little more."""
 SCORE_NEEDED, CLEAR_SCORE, WEAK_SCORE = 4, 2, 1
 """The sum of scores of successive samples that match the same vehicle's pattern, and the score of
 each match. Whole flights without a slip have no match, not even a weak one."""
-EXCITED_SCORE = 8
-"""The sum of scores that is needed where changes of the clock's rate excite the cable. With delays
-of 300 ms the clock slows down to 0, and up to 0.3 again, every 1.3 s. Matches without a slip then
-reached 6: they end with the swing, within a second."""
-EXCITING_RATE, EXCITING_CHANGE = 0.5, 0.2
-"""Rate below which, and change by which, the clock excites the cable. Before 12 slips of 0.3 N or
-more it was 0.7 at least, with changes of 0.2 at most."""
-_RATES, _SLOWED_BY_SLIP = 15, 3
-"""Samples of the rate that are kept, nearly 4 s, and the last ones of them, which a slip itself may
-have slowed before it matches."""
 _OLDEST = 0.6
 """Seconds of age up to which the oldest position may be used."""
 
@@ -87,11 +77,10 @@ class GripSlipDetector:
         self._lengths = {1: lengths, 2: lengths[:-1] + lengths[1:]}
         self._weight = plan.mission.cable.mass_per_length
         self._mass = plan.mission.vehicles.mass
-        self._samples: deque[tuple[float, Floats, Floats]] = deque(maxlen=WINDOW + 1)
+        self._samples: deque[_Sample] = deque(maxlen=WINDOW + 1)
         self._bias: Floats | None = None
         self._moved = self._dragged = 0.0
         self._suspect, self._score = -1, 0
-        self._rates: deque[float] = deque(maxlen=_RATES)
         self._next = 0.0
 
     def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
@@ -99,11 +88,10 @@ class GripSlipDetector:
         if seen.now < self._next:
             return []
         self._next = seen.now + INTERVAL
-        self._rates.append(expected.rate)
         if not (self._enabled and self._comparable(seen, expected)):
             self.reset()
             return []
-        k = self.evaluate(seen.now, seen.attitude, seen.velocity, seen.position)
+        k = self.evaluate(seen.now, seen.measured.at, seen.attitude, seen.velocity, seen.position)
         if k is None:
             return []
         words = f"{seen.names[k]} leans as after a slip of the cable"
@@ -123,11 +111,13 @@ class GripSlipDetector:
         self._bias = None
         self._score = 0
 
-    def evaluate(self, now: float, attitude: Floats, velocity: Floats, grips: Floats) -> int | None:
+    def evaluate(
+        self, now: float, at: Floats, attitude: Floats, velocity: Floats, grips: Floats
+    ) -> int | None:
         """Return the vehicle whose gripper has lost the cable; None where none has.
 
-        ``attitude`` (n, 3) roll, pitch, yaw of NED, radians; ``velocity`` and ``grips`` (n, 3),
-        mission ENU.
+        ``at`` (n,) are the times of what was measured: ``attitude`` (n, 3) roll, pitch, yaw of NED,
+        radians, and ``velocity`` (n, 3). ``grips`` (n, 3), mission ENU, are those of ``now``.
         """
         held = self._held(grips)
         force = thrust(attitude, held.pull, self._mass)
@@ -135,23 +125,24 @@ class GripSlipDetector:
             # NaN would stay in the fit of the drag, and so in all setpoints
             self.reset()
             return None
-        if self._samples and now - self._samples[-1][0] > 2.0 * INTERVAL:
+        if self._samples and now - self._samples[-1].now > 2.0 * INTERVAL:
             self.reset()
-        self._samples.append((now, velocity[:, :2].copy(), force))
+        self._samples.append(_Sample(now, at[:, None].copy(), velocity[:, :2].copy(), force))
         if len(self._samples) <= WINDOW:
             return None
-        time = now - self._samples[0][0]
-        # Without the first sample, a force that changes by 0.6 N in 0.25 s would lead by 0.08 N.
-        moving = np.trapezoid([speed for _, speed, _ in self._samples], axis=0) / WINDOW
-        mean = np.trapezoid([force for _, _, force in self._samples], axis=0) / WINDOW
-        residual = self._mass * (velocity[:, :2] - self._samples[0][1]) / time - mean
+        _, times, speeds, forces = zip(*self._samples, strict=True)
+        time = times[-1] - times[0]
+        # Without the first sample, a force that changes by 0.6 N in 0.25 s would lead by 0.08 N;
+        # as of the time of reading, one of 1.5 N by 0.45 N where delays grow by 0.3 s.
+        moving, mean = (np.trapezoid(each, times, axis=0) / time for each in (speeds, forces))
+        residual = self._mass * (speeds[-1] - speeds[0]) / time - mean
         before = residual + self._drag * moving if self._bias is None else self._bias
         residual = self._without_drag(residual, moving, before)
         self._bias = before + (residual - before) * (INTERVAL / BIAS_TIME)
         who, score = self._match(residual - self._bias, held)
         self._score = self._score + score if who == self._suspect else score
         self._suspect = -1 if who is None else who
-        return who if self._score >= score_needed(self._rates) else None
+        return who if self._score >= SCORE_NEEDED else None
 
     @property
     def drag(self) -> float:
@@ -216,6 +207,16 @@ class GripSlipDetector:
         return patterns
 
 
+class _Sample(NamedTuple):
+    """What vehicles showed at a time of reading: times (n, 1) of measurement, velocities and forces
+    (n, 2)."""
+
+    now: float
+    at: Floats
+    velocity: Floats
+    force: Floats
+
+
 class _Held(NamedTuple):
     """Grip points not below the floor, the strands' forces on their ends, and the pulls (n, 3)."""
 
@@ -254,18 +255,6 @@ def _could_fit(residual: Floats2, pull: Floats2) -> bool:
     return False
 
 
-def score_needed(rates: Iterable[float]) -> int:
-    """Return the sum of scores with which a slip counts, after these rates of the clock.
-
-    The rates are one for each sample. The last ones do not count: a slip itself slows the clock.
-    """
-    before = list(rates)[:-_SLOWED_BY_SLIP]
-    excited = (
-        bool(before) and min(before) < EXCITING_RATE and max(before) - min(before) > EXCITING_CHANGE
-    )
-    return EXCITED_SCORE if excited else SCORE_NEEDED
-
-
 def match(residual: Floats, centred: Floats, patterns: Floats) -> tuple[int | None, int]:
     """Return the vehicle whose pattern matches the residual (n, 2), and the score; None, 0: none.
 
@@ -296,8 +285,8 @@ def _best_fit(centred: Floats2, patterns: Floats3) -> tuple[int, int]:
         norm, along = np.sum(pattern * pattern), np.sum(pattern * centred)
         if not (norm > NOISE_FORCE**2 and along > MIN_SHARE * norm):
             continue
-        explained = along * along / max(norm, 1e-9)
-        if along > MAX_SHARE * norm:
+        explained = along * along / norm
+        if along > MAX_SHARE * norm or explained < LEAST_EXPLAINED**2:
             continue
         if explained > MIN_FIT * total and explained > clear:
             best, clear = k, explained
