@@ -4,12 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from swarm.certification.assessment import assess
 from swarm.errors import InputError
 from swarm.geometry.motion import Motion
 from swarm.mission import mission_for_knot, parse_mission
 from swarm.planning import Plan
+from swarm.planning.cable_shape import folded_back, laid_cable, laid_grip_points
 from swarm.planning.finishes import MAX_TIGHTENED_SHARE
 from swarm.planning.formation import formation_plan
 from swarm.planning.phase_sequence import flight_around_fold
@@ -76,6 +79,50 @@ def test_unfolding_ends_with_the_cable_as_it_lay_and_every_vehicle_on_its_pad() 
     np.testing.assert_allclose(same_push[1:-1], push[1:-1], atol=1e-3)
 
 
+def test_cable_that_is_laid_with_its_slack_is_not_contracted() -> None:
+    straight, plan = finished("finish=unfold"), finished("finish=unfold", "lay=slack")
+    names = tuple(phase.name for phase in straight.phases)
+    without = tuple(name for name in names if name not in {"contract", "spread"})
+    assert tuple(phase.name for phase in plan.phases) == without
+    assert at(plan, "lift")[:, :2] == pytest.approx(at(plan, "fold")[:, :2], abs=1e-9)
+    np.testing.assert_array_equal(at(plan, "fold"), at(straight, "fold"))
+    assert [gate.condition for gate in plan.gates if gate.time == plan.phase("lower").end] == [
+        "released"
+    ]
+    assert plan.duration < straight.duration - 15.0
+
+
+@pytest.mark.parametrize("lay", ["straight", "slack"])
+def test_all_of_the_cable_lies_on_the_floor(lay: str) -> None:
+    plan = finished(f"lay={lay}")
+    bends, grips, lengths = laid_cable(plan), laid_grip_points(plan), plan.layout.lengths
+    assert np.abs(bends[:, 2]).max() == 0.0
+    steps = np.linalg.norm(np.diff(bends, axis=0), axis=1)
+    each = len(steps) // len(lengths)
+    np.testing.assert_allclose(steps.reshape(-1, each).sum(axis=1), lengths, atol=1e-9)
+    np.testing.assert_array_equal(bends[::each], grips)
+    along = (grips[-1] - grips[0]) / np.linalg.norm(grips[-1] - grips[0])
+    beside = np.linalg.norm(np.cross(bends - grips[0], along), axis=1).max()
+    assert beside < (1e-9 if lay == "slack" else 0.08 * lengths.max())
+
+
+@given(share=st.floats(0.1, 0.99))
+def test_slack_is_folded_back_between_the_grips(share: float) -> None:
+    """However near they are to each other, never nearer to a grip than a quarter of their distance."""
+    plan = finished("lay=slack")
+    near = replace(plan, layout=replace(plan.layout, lengths=spacing(plan) / share))
+    back, times = folded_back(near)
+    np.testing.assert_allclose(spacing(plan) + 2.0 * times * back, near.layout.lengths)
+    assert (back <= 0.5 * spacing(plan) + 1e-12).all()
+    bends = laid_cable(near)
+    length = np.linalg.norm(np.diff(bends, axis=0), axis=1).sum()
+    assert length == pytest.approx(near.layout.lengths.sum())
+
+
+def spacing(plan: Plan) -> np.ndarray:
+    return np.linalg.norm(np.diff(laid_grip_points(plan), axis=0), axis=1)
+
+
 def test_a_held_knot_is_put_down_straight_and_together() -> None:
     plan = finished("finish=hold", "hold_time=20.0")
     hold, descend = plan.phase("hold"), plan.phase("descend")
@@ -135,6 +182,7 @@ def test_a_tied_cable_that_breaks_away_too_early_is_refused() -> None:
         pytest.param(("finish=unfold",), marks=pytest.mark.full),
         ("finish=tighten",),
         ("finish=hold", *TIED_ON),
+        ("finish=unfold", "lay=slack"),
     ],
 )
 def test_every_finish_is_flown_to_its_end(overrides: tuple[str, ...]) -> None:
@@ -163,6 +211,10 @@ def test_every_finish_is_flown_to_its_end(overrides: tuple[str, ...]) -> None:
         (
             "vehicles: {breakaway: 8}",
             "m.yaml: expected vehicles.breakaway only with grab: attached",
+        ),
+        (
+            "grab: attached, finish: hold, lay: slack, vehicles: {breakaway: 8}",
+            "m.yaml: expected lay: slack only with grab: floor, got grab: attached",
         ),
         ("hold_time: 1", "m.yaml:1: hold_time: expected a number >= 4 in s, got 1"),
         ("finish: drop", "m.yaml:1: finish: expected release, unfold, tighten or hold, got 'drop'"),

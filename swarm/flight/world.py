@@ -3,12 +3,10 @@
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from swarm.mission.fleet import Fleet, Place
 from swarm.planning import Plan
-
-Floats = npt.NDArray[np.float64]
+from swarm.planning.cable_shape import laid_cable
 
 
 def emulated_world(plan: Plan, fleet: Fleet, *, with_cable: bool, seed: int) -> dict[str, Any]:
@@ -48,7 +46,7 @@ def emulated_world(plan: Plan, fleet: Fleet, *, with_cable: bool, seed: int) -> 
         world["capture"] = fleet.emulated.capture.model_dump()
     gripped = next((gate.time for gate in plan.gates if gate.condition == "gripped"), None)
     if with_cable and gripped is not None:
-        points = _laid(plan.motion.at(gripped)[0], plan.layout.lengths)
+        points = laid_cable(plan)
         points[:, 2] = 0.5 * mission.cable.diameter
         world["cable"] = {
             "mass_per_length": mission.cable.mass_per_length,
@@ -98,18 +96,3 @@ def _origin(place: Place) -> dict[str, float]:
         "longitude": place.longitude,
         "altitude": place.altitude if place.altitude is not None else 0.0,
     }
-
-
-def _laid(grips: Floats, lengths: Floats) -> Floats:
-    """Return the cable on the floor: through the grip points (n, 3), bent where it has slack.
-
-    Each segment (n − 1,) keeps its length: its middle is displaced to the side.
-    """
-    chords = np.diff(grips, axis=0)
-    distance = np.linalg.norm(chords, axis=1)
-    aside = 0.5 * np.sqrt(np.maximum(lengths**2 - distance**2, 0.0))
-    across = np.stack([-chords[:, 1], chords[:, 0], np.zeros(len(chords))], axis=1)
-    middles = 0.5 * (grips[:-1] + grips[1:]) + across * (aside / distance)[:, None]
-    points = np.empty((2 * len(grips) - 1, 3))
-    points[::2], points[1::2] = grips, middles
-    return points

@@ -596,6 +596,12 @@ class Mission(Section):
         "floor",
         description="floor: vehicles grip the cable on the floor; attached: it is tied on by hand.",
     )
+    lay: Literal["straight", "slack"] = Field(
+        "straight",
+        description="The cable on the floor (grab: floor). straight: almost taut, and the vehicles "
+        "contract it there; slack: each segment folded back on itself in its middle, so that they "
+        "grip it where the fold begins.",
+    )
     hold_time: Number = number(
         4.0, "s", "Duration of the hold before the finish; the strands swing as long.",
         least=4.0, most=3600.0,
@@ -608,12 +614,15 @@ class Mission(Section):
     )
 
     @model_serializer(mode="wrap")
-    def _without_obstacles(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave the keys of obstacles out where there are none: such missions stay what they were.
+    def _without_later_keys(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out obstacles, where there are none, and a straight lay: such missions stay what
+        they were.
 
         Digests, plan files and records have all other keys, with their defaults.
         """
         document: dict[str, Any] = serialize(self)
+        if self.lay == "straight":
+            document.pop("lay", None)
         if not self.workspace.obstacles:
             for section, key in (("workspace", "obstacles"), ("clearance", "obstacle")):
                 document.get(section, {}).pop(key, None)
@@ -676,7 +685,7 @@ class Mission(Section):
         if self.formation is not None:
             unused |= {"layout", "fold"}
             if not self.formation.lengths:
-                unused |= {"grab", "finish"}
+                unused |= {"grab", "lay", "finish"}
         return {key: value for key, value in document.items() if key not in unused}
 
     @model_validator(mode="after")
@@ -700,7 +709,7 @@ class Mission(Section):
         if unused:
             raise ValueError(f"expected no {' and no '.join(unused)} with a formation")
         if not formation.lengths:
-            carried = sorted({"grab", "finish"} & self.model_fields_set)
+            carried = sorted({"grab", "lay", "finish"} & self.model_fields_set)
             if carried:
                 raise ValueError(
                     f"expected no {' and no '.join(carried)} in a formation without cable"
@@ -758,6 +767,8 @@ class Mission(Section):
                     "expected finish: hold or unfold with grab: attached, because a tied-on cable "
                     f"is not released, got {self.finish}"
                 )
+            if self.lay == "slack":
+                raise ValueError("expected lay: slack only with grab: floor, got grab: attached")
         elif self.vehicles.breakaway is not None:
             raise ValueError("expected vehicles.breakaway only with grab: attached")
         return self

@@ -292,7 +292,8 @@ def _before(mission: Mission, lengths: Floats, along: Floats) -> Floats:
 
     On pads and above them, above the cable on the floor, and in the lift.
     """
-    laid, aside = laid_along(lengths), PADS_ASIDE * mission.clearance.vehicle
+    laid = along if mission.lay == "slack" else laid_along(lengths)
+    aside = PADS_ASIDE * mission.clearance.vehicle
     start = [
         (each, apart, 0.0, height)
         for each in laid

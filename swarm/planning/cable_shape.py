@@ -64,6 +64,40 @@ def laid_grip_points(plan: Plan) -> Floats:
     return places
 
 
+def folded_back(plan: Plan) -> tuple[Floats, npt.NDArray[np.intp]]:
+    """Return by how many metres each segment (n − 1,) of cable that is laid with its slack is
+    folded back on itself in its middle, and how often: by at most half of the distance of its ends.
+    """
+    chords = np.linalg.norm(np.diff(laid_grip_points(plan), axis=0), axis=1)
+    slack = plan.layout.lengths - chords
+    times = np.maximum(np.ceil(slack / chords), 1.0).astype(np.intp)
+    return 0.5 * slack / times, times
+
+
+def laid_cable(plan: Plan) -> Floats:
+    """Return the points (k, 3) at which the laid cable is bent before the grip, ENU metres.
+
+    Laid straight, it is bent sideways in the middle of each segment by the little slack that it has
+    there; with its slack, it is folded back.
+    """
+    grips, lengths = laid_grip_points(plan), plan.layout.lengths
+    chords = np.diff(grips, axis=0)
+    middles, distance = 0.5 * (grips[:-1] + grips[1:]), np.linalg.norm(chords, axis=1)
+    if plan.mission.lay == "straight":
+        aside = 0.5 * np.sqrt(np.maximum(lengths**2 - distance**2, 0.0))
+        across = np.stack([-chords[:, 1], chords[:, 0], np.zeros(len(chords))], axis=1)
+        bent = [each[None] for each in middles + across * (aside / distance)[:, None]]
+    else:
+        back, times = folded_back(plan)
+        half = (0.5 * back / distance)[:, None] * chords
+        bent = [
+            middle + np.tile([[1.0], [-1.0]], (count, 1)) * reach
+            for middle, reach, count in zip(middles, half, times, strict=True)
+        ]
+    pieces = [np.vstack([start, between]) for start, between in zip(grips, bent, strict=False)]
+    return np.vstack([*pieces, grips[-1]])
+
+
 def grip_interval(plan: Plan) -> tuple[float, float]:
     """Return the mission times in seconds at which all vehicles have gripped and released.
 

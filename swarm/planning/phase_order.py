@@ -13,13 +13,13 @@ from swarm.planning.plan import CableState, PhaseName
 
 SUCCESSORS: Mapping[PhaseName, tuple[PhaseName, ...]] = {
     "takeoff": ("grab", "lift"),
-    "grab": ("contract",),
+    "grab": ("contract", "lift"),
     "contract": ("lift",),
     "lift": ("fold",),
     "fold": ("hold", "unfold", "descend", "tighten", "finish"),
     "hold": ("unfold", "descend", "tighten", "finish"),
     "unfold": ("lower",),
-    "lower": ("spread", "land"),
+    "lower": ("spread", "finish", "land"),
     "spread": ("finish",),
     "descend": ("land",),
     "tighten": ("finish",),

@@ -56,8 +56,9 @@ def flight_around_fold(
 ) -> PhaseSequence:
     """Return the whole flight around a fold.
 
-    Before the fold: take-off, grab, contract and lift; with a cable that is tied on, take-off and
-    lift from the positions below the line. After the fold: the hold and the mission's finish.
+    Before the fold: take-off, grab, contract and lift, without contract where the cable is laid
+    with its slack; with a cable that is tied on, take-off and lift from the positions below the
+    line. After the fold: the hold and the mission's finish.
 
     ``lengths`` (n − 1,) are the lengths of the segments, metres. The fold starts with all vehicles
     at one height on a straight line, in order. With ``relaxed`` the contraction ends without pull
@@ -113,12 +114,16 @@ def join_phases(motions: tuple[PhaseMotion, ...], gates: list[Gate]) -> PhaseSeq
 def _before_fold(
     mission: Mission, lengths: Floats, lifted: Floats, folded: Floats, *, relaxed: bool
 ) -> tuple[PhaseMotion, ...]:
-    """Return take-off from pads beside the cable, grab, contraction on the floor, and lift."""
+    """Return take-off from pads beside the cable, grab, contraction on the floor, and lift.
+
+    Cable that is laid with its slack is not contracted.
+    """
     vehicles = mission.vehicles
     speed, acceleration = vehicles.max_speed, usable_acceleration(mission)
     slow = min(speed, TOUCHDOWN_SPEED)
     contracted = lifted * [1.0, 1.0, 0.0]
-    grip = _grip_points_on_floor(contracted, lengths)
+    slack = mission.lay == "slack"
+    grip = contracted if slack else _grip_points_on_floor(contracted, lengths)
     heading = (grip[-1] - grip[0]) / np.linalg.norm(grip[-1] - grip[0])
     aside = np.array([-heading[1], heading[0], 0.0])
     side = -1.0 if float(np.mean((folded - contracted[-1]) @ aside)) > 0.0 else 1.0
@@ -127,40 +132,23 @@ def _before_fold(
         np.array([0.0, 0.0, height]) for height in (TAKEOFF_HEIGHT, GRAB_HEIGHT, CARRY_HEIGHT)
     )
     order = _STAGGER * np.abs(np.arange(len(pads)) - (len(pads) - 1) // 2)
-    return (
-        PhaseMotion(
-            "takeoff",
-            concatenate(
-                leg(pads, pads + up, slow, 0.5 * acceleration),
-                leg(pads + up, grip + up, speed, acceleration),
-            ),
-            "floor",
-            gate="airborne",
-        ),
-        PhaseMotion(
-            "grab",
-            staggered_leg(grip + up, grip + low, order, slow, acceleration),
-            "floor",
-            gate="gripped",
-        ),
-        PhaseMotion(
-            "contract",
-            concatenate(
-                leg(grip + low, grip + carried, slow, 0.25 * acceleration),
-                *contraction(
-                    mission, lengths, grip + carried, contracted + carried, relaxed=relaxed
-                ),
-            ),
-            "floor",
-            gate="settled",
-        ),
-        PhaseMotion(
-            "lift",
-            leg(contracted + carried, lifted, speed, 0.5 * acceleration),
-            "lifting",
-            gate="settled",
-        ),
+    takeoff = concatenate(
+        leg(pads, pads + up, slow, 0.5 * acceleration),
+        leg(pads + up, grip + up, speed, acceleration),
     )
+    grab = staggered_leg(grip + up, grip + low, order, slow, acceleration)
+    phases = [
+        PhaseMotion("takeoff", takeoff, "floor", gate="airborne"),
+        PhaseMotion("grab", grab, "floor", gate="gripped"),
+    ]
+    if not slack:
+        contract = concatenate(
+            leg(grip + low, grip + carried, slow, 0.25 * acceleration),
+            *contraction(mission, lengths, grip + carried, contracted + carried, relaxed=relaxed),
+        )
+        phases.append(PhaseMotion("contract", contract, "floor", gate="settled"))
+    lift = leg(contracted + (low if slack else carried), lifted, speed, 0.5 * acceleration)
+    return *phases, PhaseMotion("lift", lift, "lifting", gate="settled")
 
 
 def _before_fold_attached(mission: Mission, lifted: Floats) -> tuple[PhaseMotion, ...]:
@@ -189,7 +177,8 @@ def _grip_points_on_floor(contracted: Floats, lengths: Floats) -> Floats:
 
 
 def laid_along(lengths: Floats) -> Floats:
-    """Return the places (n,) of grip points along the cable on the floor, from its middle."""
+    """Return the places (n,) of grip points along the cable on the floor, from its middle, where it
+    is laid straight."""
     along = np.concatenate([[0.0], np.cumsum(LAID_SHARE * lengths)])
     placed: Floats = along - 0.5 * along[-1]
     return placed

@@ -12,6 +12,7 @@ from swarm.flight.parameters import plan_requirements, rules
 from swarm.mavlink.frames import AutopilotName
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan, digest
+from swarm.planning.cable_shape import folded_back
 from swarm.reports import scene
 from swarm.reports.formatting import certified, certified_wind
 from swarm.reports.pages import render
@@ -145,22 +146,31 @@ def _vehicles_table(plan: Plan, labels: Sequence[str], pads: Floats, grips: Floa
     marks = [f"{mark:.2f} m" for mark in grip_marks(plan)] or none
     segments = [f"{length:.2f} m" for length in plan.layout.lengths]
     segments = [*segments, ""] if segments else none
-    columns = (
+    columns = [
         "vehicle", "label", "grip mark from the cable's end", "pad x, y", "grip x, y",
         "next segment",
-    )  # fmt: skip
-    rows = [
-        (
+    ]  # fmt: skip
+    values = [
+        [
             str(k + 1),
             labels[k],
             marks[k],
             f"{pads[k, 0]:.2f}, {pads[k, 1]:.2f}",
             f"{grips[k, 0]:.2f}, {grips[k, 1]:.2f}",
             segments[k],
-        )
+        ]
         for k in range(plan.vehicles)
     ]
-    return Table(columns, rows, numbers=(0, 2, 3, 4, 5))
+    if plan.mission.lay == "slack":
+        columns.append("folded back by")
+        folds = zip(*folded_back(plan), strict=True)
+        words = [
+            f"{times} × {back:.2f} m" if times > 1 else f"{back:.2f} m" for back, times in folds
+        ]
+        for row, fold in zip(values, [*words, ""], strict=True):
+            row.append(fold)
+    rows = [tuple(row) for row in values]
+    return Table(tuple(columns), rows, numbers=(0, *range(2, len(columns))))
 
 
 def _lay_line(grips: Floats) -> LayLine:

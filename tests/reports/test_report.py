@@ -286,6 +286,18 @@ def test_a_template_without_one_of_its_values_is_refused() -> None:
         render("layout_sheet.html.j2")
 
 
+def test_the_sheet_says_by_how_much_slack_cable_is_folded_back() -> None:
+    mission = PLAN.mission.model_copy(update={"lay": "slack"})
+    more = np.where(np.arange(8) == 0, 2.2, 1.4) * PLAN.layout.lengths  # of taut segments
+    slack = replace(PLAN, mission=mission, layout=replace(PLAN.layout, lengths=more))
+    words = " ".join(Reader(layout_sheet(slack)).words.split())
+    assert "next segment folded back by" in words
+    assert "6.69 m 0.96 m" in words
+    assert "10.52 m 2 × 1.43 m" in words
+    assert "fold each segment back on itself in its middle, along the line" in words
+    assert "folded back" not in Reader(layout_sheet(PLAN)).words
+
+
 def made_failures_report() -> str:
     document: dict[str, Any] = {
         "case": "gripper slips", "group": "one vehicle", "autopilots": "px4", "times": [60.0],
