@@ -331,7 +331,7 @@ def test_steps_lower_the_cost_and_shorten_the_fold_while_strands_stay_apart() ->
         after = problem.evaluate(fold, frozen)
         assert after.cost + weight * np.log(fold.duration) < cost
         cost = after.cost + weight * np.log(fold.duration)
-    distances = after.found.distances
+    distances = after.needs.distances
     assert distances[distances > 0.0].min() > 0.2
     assert fold.duration < 0.75 * begun_at
 

@@ -214,12 +214,12 @@ def _write_margin(
     )
     high = size(apart) + piece.bow - by_tracking - shift - swing.least
     in_time, rest = max(kept.drift, 0.0) + calm - by_tracking + (swing.most - swing.now), 0.0
-    k = bounds.doubts.shape[1] - 1
+    k = bounds.widths.shape[1] - 1
     if k > 1:
         rest = point - calm
-        bounds.doubts[b, 1], bounds.doubts[b, 2] = east + 0.5 * rest, north + 0.5 * rest
-    bounds.doubts[b, 0] = in_time
-    bounds.doubts[b, k] = high - low - in_time - east - north - rest
+        bounds.widths[b, 1], bounds.widths[b, 2] = east + 0.5 * rest, north + 0.5 * rest
+    bounds.widths[b, 0] = in_time
+    bounds.widths[b, k] = high - low - in_time - east - north - rest
     touching = -radius - required
     # Surfaces are never nearer than touching, also where an over-stretched strand is bounded poorly
     bounds.low[b], bounds.high[b] = max(low, min(high, touching)), high

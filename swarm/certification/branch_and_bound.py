@@ -94,12 +94,12 @@ def same_in(boxes: BoxArrays, a: int, b: int, coordinates: int) -> bool:
 class Enclosure:
     """Values on m boxes: none below ``low``; about ``high`` at ``place`` (m, 3), ENU metres.
 
-    ``doubts`` (m, d) is the part of the difference that the width of each coordinate causes.
+    ``widths`` (m, d) is the part of the difference that the width of each coordinate causes.
     """
 
     low: Floats
     high: Floats
-    doubts: Floats
+    widths: Floats
     place: Floats
 
     @staticmethod
@@ -111,7 +111,7 @@ class Enclosure:
 
     def arrays(self) -> "EnclosureArrays":
         """Return the arrays, which compiled code may change."""
-        return EnclosureArrays(self.low, self.high, self.doubts, self.place)
+        return EnclosureArrays(self.low, self.high, self.widths, self.place)
 
 
 class EnclosureArrays(NamedTuple):
@@ -119,7 +119,7 @@ class EnclosureArrays(NamedTuple):
 
     low: Floats1
     high: Floats1
-    doubts: Floats2
+    widths: Floats2
     place: Floats2
 
 
@@ -174,8 +174,8 @@ def evaluated(evaluate: Evaluator, boxes: Boxes) -> Enclosure:
     unknown |= closed.any(axis=1)
     low = np.where(unknown, -np.inf, np.maximum(bounds.low, boxes.known))
     high = np.where(unknown, -np.inf, np.maximum(bounds.high, low))
-    uncertainty = np.where(np.isnan(bounds.doubts), np.inf, bounds.doubts)
-    return replace(bounds, low=low, high=high, doubts=uncertainty)
+    uncertainty = np.where(np.isnan(bounds.widths), np.inf, bounds.widths)
+    return replace(bounds, low=low, high=high, widths=uncertainty)
 
 
 def _in_batches(evaluate: Evaluator, boxes: Boxes) -> Enclosure:
@@ -188,17 +188,17 @@ def _in_batches(evaluate: Evaluator, boxes: Boxes) -> Enclosure:
     return Enclosure(
         np.concatenate([part.low for part in parts]),
         np.concatenate([part.high for part in parts]),
-        np.concatenate([part.doubts for part in parts]),
+        np.concatenate([part.widths for part in parts]),
         np.concatenate([part.place for part in parts]),
     )
 
 
 def _halved(boxes: Boxes, bounds: Enclosure, where: Ints, cut: float) -> Boxes:
-    """Halve some of the boxes in every coordinate with at least ``cut`` of the largest doubt.
+    """Halve some of the boxes in every coordinate with at least ``cut`` of the largest width.
 
     The halves of a box follow each other: what they share is computed once for both.
     """
-    uncertainty = bounds.doubts[where]
+    uncertainty = bounds.widths[where]
     splits = uncertainty >= cut * reduce(np.maximum, uncertainty.T)[:, None]
     parts = 1 << splits.sum(axis=1)
     group, known = np.repeat(boxes.group[where], parts), np.repeat(bounds.low[where], parts)

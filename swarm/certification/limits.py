@@ -167,8 +167,8 @@ def _write_heights(
         still, lowest = _lowest(cable, segment, at_once)
         high = lowest[2] - still - heights[0] - heights[1]
         # The whole strand's sensitivity bounds the lowest point's: only time is halved.
-        doubt = max(moved - still, 0.0)
-        bounds.low[b], bounds.high[b], bounds.doubts[b, 0] = high - doubt, high, doubt
+        width = max(moved - still, 0.0)
+        bounds.low[b], bounds.high[b], bounds.widths[b, 0] = high - width, high, width
         bounds.place[b, 0], bounds.place[b, 1], bounds.place[b, 2] = lowest
 
 
@@ -215,9 +215,9 @@ def _write_beside_solids(
         low, high, uncertainty = kept_from_plane(cable, piece, normal, here, gravity)
         bounds.low[b] = low - wall - radius - required
         bounds.high[b] = high - wall - radius - required
-        bounds.doubts[b, 0], bounds.doubts[b, k] = uncertainty[0], uncertainty[3]
+        bounds.widths[b, 0], bounds.widths[b, k] = uncertainty[0], uncertainty[3]
         if k > 1:
-            bounds.doubts[b, 1], bounds.doubts[b, 2] = uncertainty[1], uncertainty[2]
+            bounds.widths[b, 1], bounds.widths[b, 2] = uncertainty[1], uncertainty[2]
         for axis in range(3):
             bounds.place[b, axis] = 0.5 * (piece.near[axis] + piece.far[axis])
 
@@ -354,7 +354,7 @@ def _write_inside_in_wind(
             to_low, to_high, uncertainty = _from_wall(cable, piece, side, chord, gravity)
             low, high = min(low, to_low - radius), min(high, to_high - radius)
             for k in range(4):
-                bounds.doubts[b, k] = max(bounds.doubts[b, k], uncertainty[k])
+                bounds.widths[b, k] = max(bounds.widths[b, k], uncertainty[k])
         if not (_within(grips[0].place, sides) and _within(grips[1].place, sides)):
             # A strand with a grip outside is outside, at whatever distance.
             low, high = min(low, -_OUTSIDE), min(high, -_OUTSIDE)
@@ -367,7 +367,7 @@ def _write_inside_in_wind(
 def _from_wall(
     cable: CableTables, piece: Piece, side: Floats, chord: Floats, gravity: Gravity
 ) -> tuple[float, float, tuple[float, float, float, float]]:
-    """Return bounds of a piece's distance from a side (2, 3), and their doubts.
+    """Return bounds of a piece's distance from a side (2, 3), and their widths.
 
     ``chord`` (2, 3) is memory.
     """

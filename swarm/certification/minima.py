@@ -163,7 +163,7 @@ def failing(
     """Return pair and time of a margin that cannot be certified not to be negative, if any.
 
     A pair without a margin in any box fails, too. ``initial`` as for :func:`smallest`; margins
-    whose doubt is half the ``tolerance`` or less are not looked at more closely.
+    whose width is half the ``tolerance`` or less are not looked at more closely.
     """
     count, most = 0, _most(boxes, initial)
     counted = np.zeros(int(boxes.group.max(initial=-1)) + 1, dtype=bool)
@@ -253,7 +253,7 @@ def _fewer(at: Callable[[int], Evaluator], steps: int, boxes: Boxes, tolerance: 
 
 def _lost(boxes: Boxes, bounds: Enclosure, tolerance: float) -> Flags:
     """Boxes with a negative margin, or with a doubtful one that is not looked at more closely."""
-    narrow = reduce(np.add, bounds.doubts.T) < 0.5 * tolerance
+    narrow = reduce(np.add, bounds.widths.T) < 0.5 * tolerance
     lost: Flags = (bounds.high < 0.0) | ((bounds.low < 0.0) & (_exhausted(boxes, bounds) | narrow))
     return lost
 

@@ -82,9 +82,9 @@ def straight_down(motion: BoundedMotion, starts: Floats) -> Evaluator:
         moved = team.position - motion.at(starts)[0][begun]
         moved[..., 2] -= moved[:, :1, 2].copy()
         down = team.velocity[instant, 0] * [0.0, 0.0, 1.0]
-        doubt = team.drift(instant, vehicle, down) + team.deviation[instant, 0]
+        width = team.drift(instant, vehicle, down) + team.deviation[instant, 0]
         high = RIGID - np.linalg.norm(moved[instant, vehicle], axis=-1)
-        return high, doubt, team.position[instant, vehicle]
+        return high, width, team.position[instant, vehicle]
 
     return over_time(motion, margin)
 

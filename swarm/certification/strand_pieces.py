@@ -895,4 +895,4 @@ def write_unbounded(gravity: Gravity, b: int, bounds: EnclosureArrays) -> None:
     """Write that a box has to be halved, unless there is no gravity in it at all."""
     if gravity.angle >= 0.0:
         bounds.low[b] = -np.inf
-        bounds.doubts[b, 1] = bounds.doubts[b, 2] = np.inf
+        bounds.widths[b, 1] = bounds.widths[b, 2] = np.inf

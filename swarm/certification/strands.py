@@ -207,20 +207,20 @@ def _write_margin(
     least = by_tracking + other_by_tracking + swing.least + swing_other.least
     bounds.high[b] = np.sqrt(square) + bows - least - required
     in_time = max(apart.drift, 0.0) + calm - by_tracking + other_calm - other_by_tracking
-    bounds.doubts[b, 0] = in_time + (swing.most - swing.now) + (swing_other.most - swing_other.now)
-    k = bounds.doubts.shape[1] - 2
+    bounds.widths[b, 0] = in_time + (swing.most - swing.now) + (swing_other.most - swing_other.now)
+    k = bounds.widths.shape[1] - 2
     if k > 1:
         rest = point - calm + other_point - other_calm
-        bounds.doubts[b, 1], bounds.doubts[b, 2] = apart.east + 0.5 * rest, apart.north + 0.5 * rest
-    bounds.doubts[b, k] = 2.0 * piece.bow + size - point + (swing.now - swing.least)
-    bounds.doubts[b, k + 1] = (
+        bounds.widths[b, 1], bounds.widths[b, 2] = apart.east + 0.5 * rest, apart.north + 0.5 * rest
+    bounds.widths[b, k] = 2.0 * piece.bow + size - point + (swing.now - swing.least)
+    bounds.widths[b, k + 1] = (
         2.0 * other.bow + other_size - other_point
         + (swing_other.now - swing_other.least)
     )  # fmt: skip
     length, other_length = piece.end - piece.begin, other.end - other.begin
     length *= piece.strand.catenary.length
     other_length *= other.strand.catenary.length
-    bounds.doubts[b, k] += apart.size * length / (length + other_length)
-    bounds.doubts[b, k + 1] += apart.size * other_length / (length + other_length)
+    bounds.widths[b, k] += apart.size * length / (length + other_length)
+    bounds.widths[b, k + 1] += apart.size * other_length / (length + other_length)
     for axis in range(3):
         bounds.place[b, axis] = 0.5 * (at_piece[axis] + at_other[axis])

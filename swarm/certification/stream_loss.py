@@ -314,14 +314,14 @@ class _Workspace(NamedTuple):
 
 
 class _Margins(NamedTuple):
-    """Lower bounds (m,) of margins in boxes, margins (m,) in their middles, doubts (m, 4).
+    """Lower bounds (m,) of margins in boxes, margins (m,) in their middles, widths (m, 4).
 
     Both are 0 where all margins are larger.
     """
 
     low: Floats1
     here: Floats1
-    doubts: Floats2
+    widths: Floats2
 
 
 class StreamLossBound:
@@ -425,7 +425,7 @@ class StreamLossBound:
             _Cases(case, rate[interval]), (boxes.middle, boxes.half), self._motion, self._required,
             self._workspace, margins,
         )  # fmt: skip
-        return Enclosure(margins.low, margins.here, margins.doubts, np.empty((count, 0)))
+        return Enclosure(margins.low, margins.here, margins.widths, np.empty((count, 0)))
 
 
 @compiled
@@ -446,7 +446,7 @@ def _write_margins(
         )  # fmt: skip
         low, here = workspace.margins
         margins.low[m] = margins.here[m] = 0.0
-        if write_state(box, motion, workspace.team, margins.doubts[m]):
+        if write_state(box, motion, workspace.team, margins.widths[m]):
             asked = Query(box.case - 1, (box.half, box.coast_half, box.advance_half), 0.0, 0.0)
             vehicle_margins(asked, workspace.team, required, low, here)
             if smallest(low) >= 0.0:

@@ -327,14 +327,14 @@ def _leaves(strays: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Swings:
-    """Largest strays ``found`` (k, n − 1, links + 1) in each interval, by the name of the change,
+    """Largest ``strays`` (k, n − 1, links + 1) in each interval, by the name of the change,
     and the ``approach`` (r,) of ``close`` pairs, metres: of a plan in a span of mission time."""
 
     plan: Plan
     span: tuple[float, float]
     planned: PlannedSwing = field(repr=False)
     close: ClosePairs = field(repr=False)
-    found: dict[str, Floats] = field(repr=False)
+    strays: dict[str, Floats] = field(repr=False)
     approach: Floats = field(repr=False)
 
     @staticmethod
@@ -357,8 +357,8 @@ class Swings:
 
     def after(self, courses: Sequence[Course]) -> "Swings":
         """Return the swings with those after changes of the clock's rate."""
-        largest = {name: strays.copy() for name, strays in self.found.items()}
-        swings = replace(self, found=largest, approach=self.approach.copy())
+        largest = {name: strays.copy() for name, strays in self.strays.items()}
+        swings = replace(self, strays=largest, approach=self.approach.copy())
         swings.collect(swings_after(self.plan, self.span, self.planned, courses))
         return swings
 
@@ -368,8 +368,8 @@ class Swings:
         names = dict.fromkeys(course.name for course in COURSES)
         return SwingTube(
             start=self.span[0],
-            planned=self.found[_PLANNED].max(axis=2),
-            changed={name: float(self.found[name].max()) for name in names},
+            planned=self.strays[_PLANNED].max(axis=2),
+            changed={name: float(self.strays[name].max()) for name in names},
             all_changes=self.radii,
             ordinary=ordinary,
             pairs=self.pairs,
@@ -384,7 +384,7 @@ class Swings:
         """
         larger = {_RESUMED: 1.0 + BETWEEN_RESTS}
         most = np.maximum.reduce(
-            [larger.get(name, 1.0) * each for name, each in self.found.items()]
+            [larger.get(name, 1.0) * each for name, each in self.strays.items()]
         )
         wide = np.pad(most, ((1, 1), (0, 0), (0, 0)), mode="edge")
         most = np.maximum(most, np.maximum(wide[:-2], wide[2:]))
@@ -422,13 +422,13 @@ class Swings:
     def nearer_than(self, distance: float) -> "Swings":
         """Return those of the pairs of which tracking errors leave less, without the strays."""
         near = np.flatnonzero(self.close.left < distance)
-        return replace(self, found={}, close=self.close.taken(near), approach=self.approach[near])
+        return replace(self, strays={}, close=self.close.taken(near), approach=self.approach[near])
 
     def collect(self, swings: Iterable[Swung]) -> None:
         """Add the swings."""
         for swung in swings:
             self.collect_pairs(swung)
-            _collect_strays(self.span, swung, self.found)
+            _collect_strays(self.span, swung, self.strays)
 
     def collect_pairs(self, swung: Swung) -> None:
         """Add the swings to the approach of close pairs alone."""

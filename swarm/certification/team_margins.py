@@ -223,12 +223,12 @@ class Query(NamedTuple):
     """What is asked for: the margins of a vehicle and its segments; of all with ``who`` −1.
 
     ``half`` are the half widths of the box. Margins from ``enough`` metres on are not computed, and
-    no more of them after one below ``found``.
+    no more of them after one below ``smallest``.
     """
 
     who: int
     half: Vector
-    found: float
+    smallest: float
     enough: float
 
 
@@ -273,18 +273,18 @@ def cable_margins(
         if asked.who in (-1, i, i + 1):
             chord = point_distance(position[i], position[i + 1])
             _lower(CHORDS, required.chord[i] - chord, _parting(half, team, i, i + 1), low, here)
-    if low[CHORDS] < max(asked.found, 0.0):
+    if low[CHORDS] < max(asked.smallest, 0.0):
         return
     strand_margins(asked, team, required, strands, low, here)
     for i in range(count):
-        if smallest(low) < asked.found:
+        if smallest(low) < asked.smallest:
             return
         own = asked.who in (-1, i, i + 1)
         if own:
             _in_workspace(i, half, team, required, strands, low, here)
         first, last = (0, count + 1) if own else (asked.who, asked.who + 1)
         for k in range(first, last):
-            if min(low[BODIES], low[DISCS]) >= asked.found:
+            if min(low[BODIES], low[DISCS]) >= asked.smallest:
                 if k in (i, i + 1):
                     _disc(k, i, half, team, required, strands, low, here)
                 elif _near_body(
@@ -319,7 +319,7 @@ def strand_margins(
             enough = low[STRANDS] + required.strands + strands.stray[i] + strands.stray[j]
             if _gap(strands.boxes[i], strands.boxes[j]) >= enough:
                 continue
-            if low[STRANDS] < asked.found:
+            if low[STRANDS] < asked.smallest:
                 return
             _follow(asked.half, team, i, i + 1, j, j + 1)
             moved = _end_movement(asked.half, team, i), _end_movement(asked.half, team, j)

@@ -29,11 +29,11 @@ from swarm.planner.team_terms import (
     RANGE,
     RELAXED,
     Derivatives,
-    Found,
     Memory,
     Mode,
     Needs,
     Poses,
+    ShownNeeds,
     Splines,
     Sums,
     Team,
@@ -325,7 +325,7 @@ class Evaluation:
     """
 
     cost: float
-    found: Found
+    needs: ShownNeeds
     missed_after_losses: float
     speed: float
     acceleration: float
@@ -336,7 +336,7 @@ class Evaluation:
     @property
     def missed(self) -> float:
         """The largest missed need, metres."""
-        return float(self.found.missed.max())
+        return float(self.needs.missed.max())
 
 
 class _Moved(NamedTuple):
@@ -487,7 +487,7 @@ class Problem:
         ahead = self._before_fold(fold.pose, frozen, records[0], slopes)
         return Evaluation(
             cost=float(sum(costs)) + ahead,
-            found=records[0],
+            needs=records[0],
             missed_after_losses=max(
                 (float(each.missed.max()) for each in records[1:]), default=0.0
             ),
@@ -514,7 +514,7 @@ class Problem:
         return places, by_pose
 
     def _before_fold(
-        self, pose: Floats, frozen: Frozen, record: Found, slopes: Slopes | None
+        self, pose: Floats, frozen: Frozen, record: ShownNeeds, slopes: Slopes | None
     ) -> float:
         """Return the cost of vehicles and walls before the fold, and note the largest missed need
         at its first moment; add the derivatives."""
@@ -543,10 +543,10 @@ class Problem:
 
     def _clearances(
         self, moved: _Moved, team: Team, needs: Needs, slopes: Slopes | None
-    ) -> tuple[float, Found]:
+    ) -> tuple[float, ShownNeeds]:
         """Return the cost of all clearances of poses, and what they show; add the derivatives."""
         n, m, rows = len(self.folded), len(self.folded) - 1, len(needs.floor)
-        record = Found(
+        record = ShownNeeds(
             np.zeros((rows, m, m)), np.zeros((rows, n, m)), np.zeros((rows, m)),
             np.zeros((rows, m)), np.zeros((rows, m, m)), np.zeros((rows, m)), np.zeros(rows),
         )  # fmt: skip
@@ -566,7 +566,7 @@ class Problem:
         to.twice += float(by_duration[1])
         return cost, record
 
-    def shown_by(self, places: Floats, needs: Needs) -> Found:
+    def shown_by(self, places: Floats, needs: Needs) -> ShownNeeds:
         """Return what poses (s, n, 3) show with their needs; at most as many as the moments."""
         return self._clearances(self._planned(places, 1.0), self.team, needs, None)[1]
 

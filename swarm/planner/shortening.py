@@ -441,7 +441,7 @@ def _with_needs(
     short: Shortening, frozen: Frozen, shown: Evaluation, wanted: Wanted, share: float
 ) -> Frozen:
     """Return needs and modes as a motion shows them, by a ``share`` of their changes."""
-    record, needs = shown.found, frozen.needs
+    record, needs = shown.needs, frozen.needs
 
     def towards(old: Floats, new: Floats) -> Floats:
         return np.where(new > 0.0, old + share * (new - old), old)

@@ -96,7 +96,7 @@ class Needs(NamedTuple):
     taut: Floats1
 
 
-class Found(NamedTuple):
+class ShownNeeds(NamedTuple):
     """What a moment shows: needs by the tracking errors at its team, and distances of strands.
 
     As in :class:`Needs`; ``distances`` (s, m, m) are 9 where strands are far apart, ``sags``
@@ -400,7 +400,7 @@ def _begin_pose(s: int, only: int, begun: bool, poses: Poses, team: Team, memory
 
 @inner
 def _require_strand(
-    i: int, at: _At, place: Floats, team: Team, record: Found, memory: Memory
+    i: int, at: _At, place: Floats, team: Team, record: ShownNeeds, memory: Memory
 ) -> None:
     """Write a strand's points, responses, box and sag, if they are not those of the pose."""
     if memory.written[i] == 0:
@@ -423,7 +423,7 @@ def _gap(boxes: Floats, i: int, j: int) -> float:
 
 @compiled
 def add_clearances(
-    poses: Poses, team: Team, needs: Needs, record: Found, memory: Memory, splines: Splines,
+    poses: Poses, team: Team, needs: Needs, record: ShownNeeds, memory: Memory, splines: Splines,
     sums: Sums, derivatives: Derivatives, shared: Derivatives, derive: bool,
 ) -> float:  # fmt: skip
     """Return the cost of all clearances of poses, and write what each row of needs shows.
@@ -568,7 +568,7 @@ def _add_pair(s: int, k: int, j: int, matrix: Floats, splines: Splines, band: Fl
 
 @inner
 def _pose(
-    at: _At, only: int, place: Floats, team: Team, needs: Needs, record: Found, memory: Memory,
+    at: _At, only: int, place: Floats, team: Team, needs: Needs, record: ShownNeeds, memory: Memory,
     derivatives: Derivatives,
 ) -> float:  # fmt: skip
     strands = len(team.lengths)
@@ -603,7 +603,14 @@ def _pose(
 
 @inner
 def _are_near(
-    i: int, j: int, reach: float, at: _At, place: Floats, team: Team, record: Found, memory: Memory
+    i: int,
+    j: int,
+    reach: float,
+    at: _At,
+    place: Floats,
+    team: Team,
+    record: ShownNeeds,
+    memory: Memory,
 ) -> bool:
     """Return whether two strands may be nearer than ``reach``; then both are written."""
     for k in (i, j):
@@ -615,8 +622,8 @@ def _are_near(
 
 @inner
 def _strands(
-    at: _At, i: int, j: int, need: float, place: Floats, team: Team, record: Found, memory: Memory,
-    derivatives: Derivatives,
+    at: _At, i: int, j: int, need: float, place: Floats, team: Team, record: ShownNeeds,
+    memory: Memory, derivatives: Derivatives,
 ) -> float:  # fmt: skip
     """Cost of two strands: of all pairs of their pieces that are near, but beside a shared grip."""
     if not _are_near(i, j, need + at.range, at, place, team, record, memory):
@@ -682,7 +689,7 @@ def _strands(
 
 @inner
 def _vehicles(
-    at: _At, i: int, j: int, place: Floats, aside: Floats, above: Floats, record: Found,
+    at: _At, i: int, j: int, place: Floats, aside: Floats, above: Floats, record: ShownNeeds,
     derivatives: Derivatives,
 ) -> float:  # fmt: skip
     """Cost of two vehicles: of their distance in plan view or in height, whichever misses less."""
@@ -717,8 +724,8 @@ def _outside(point: Floats, above: float, box: Floats, reach: float) -> bool:
 
 @inner
 def _bodies(
-    at: _At, i: int, j: int, bounds: tuple[float, float], place: Floats, team: Team, record: Found,
-    memory: Memory, derivatives: Derivatives,
+    at: _At, i: int, j: int, bounds: tuple[float, float], place: Floats, team: Team,
+    record: ShownNeeds, memory: Memory, derivatives: Derivatives,
 ) -> float:  # fmt: skip
     """Cost of a vehicle's body and a strand, or of its rotor disc and one that it holds.
 
@@ -766,7 +773,7 @@ def _bodies(
 
 @inner
 def _strand_alone(
-    at: _At, i: int, place: Floats, team: Team, needs: Needs, record: Found, memory: Memory,
+    at: _At, i: int, place: Floats, team: Team, needs: Needs, record: ShownNeeds, memory: Memory,
     derivatives: Derivatives,
 ) -> float:  # fmt: skip
     """Cost of a strand's chord, its steepness, and its height above the floor."""
@@ -815,7 +822,7 @@ def _strand_alone(
 
 @inner
 def _within_walls(
-    at: _At, i: int, place: Floats, team: Team, needs: Needs, record: Found,
+    at: _At, i: int, place: Floats, team: Team, needs: Needs, record: ShownNeeds,
     derivatives: Derivatives,
 ) -> float:  # fmt: skip
     """Cost of a vehicle and all walls."""
@@ -836,7 +843,7 @@ def _within_walls(
 
 @compiled
 def add_walls(
-    places: Floats2, team: Team, needs: Needs, record: Found, relaxed: float,
+    places: Floats2, team: Team, needs: Needs, record: ShownNeeds, relaxed: float,
     derivatives: Derivatives, gradient: Floats2, matrix: Floats3,
 ) -> float:  # fmt: skip
     """Return the cost of vehicles at ``places`` (r, 3) and all walls, with the first row of needs.
@@ -859,7 +866,7 @@ def add_walls(
 
 @inner
 def _beside_walls(
-    at: _At, i: int, place: Floats, team: Team, needs: Needs, record: Found, memory: Memory,
+    at: _At, i: int, place: Floats, team: Team, needs: Needs, record: ShownNeeds, memory: Memory,
     derivatives: Derivatives,
 ) -> float:  # fmt: skip
     """Cost of a strand and all walls: of its points that are near."""

@@ -89,16 +89,16 @@ def test_every_span_has_boxes_of_the_given_width():
 
 def test_the_parts_of_boxes_fill_them_without_overlap():
     rng = np.random.default_rng(4)
-    middle, half, doubts = rng.uniform(0.1, 1.0, (3, 40, 4))
+    middle, half, widths = rng.uniform(0.1, 1.0, (3, 40, 4))
     boxes = Boxes(np.arange(40), middle, half, np.zeros(40))
-    found = Enclosure(rng.uniform(size=40), np.ones(40), doubts, middle[:, :3])
+    found = Enclosure(rng.uniform(size=40), np.ones(40), widths, middle[:, :3])
     where = rng.permutation(40)[:25]
     parts = _halved(boxes, found, where, 0.5)
     assert parts.group[np.sort(np.unique(parts.group, return_index=True)[1])].tolist() == [*where]
     assert (parts.known == found.low[parts.group]).all()
     for k in where:
         own = parts.taken(parts.group == k)
-        cut = doubts[k] >= 0.5 * doubts[k].max()
+        cut = widths[k] >= 0.5 * widths[k].max()
         assert (own.half == np.where(cut, 0.5, 1.0) * half[k]).all()
         steps = (own.middle - middle[k]) / half[k]
         sides = np.sign(steps[:, cut])
@@ -114,13 +114,13 @@ def test_boxes_that_halve_to_themselves_are_not_shown():
     assert smallest(flat, 1, begun).low.tolist() == [-np.inf]
 
 
-def enclosing(low, high, doubt):
+def enclosing(low, high, width):
     """An evaluator with the same enclosure for every box."""
 
     def evaluate(boxes):
         size = len(boxes)
-        place, doubts = np.zeros((size, 3)), np.full(boxes.half.shape, doubt)
-        return Enclosure(np.full(size, low), np.full(size, high), doubts, place)
+        place, widths = np.zeros((size, 3)), np.full(boxes.half.shape, width)
+        return Enclosure(np.full(size, low), np.full(size, high), widths, place)
 
     return evaluate
 
@@ -134,21 +134,21 @@ def test_a_search_that_does_not_converge_ends_with_its_bounds():
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "doubt"),
+    ("low", "high", "width"),
     [(np.inf, np.inf, 0.0), (np.nan, 1.0, 1.0), (1.0, np.nan, 1.0), (-np.inf, 1.0, np.nan)],
 )
-def test_a_missing_margin_is_never_cleared(low, high, doubt):
+def test_a_missing_margin_is_never_cleared(low, high, width):
     """No box counts, or the margin is not a number."""
     begun = roots(2, SPAN, 1.0)
 
     def evaluate(boxes):
         first = boxes.group == 0
-        found = enclosing(low, high, doubt)(boxes)
+        found = enclosing(low, high, width)(boxes)
         kept = enclosing(0.3, 0.3, 0.0)(boxes)
         return Enclosure(
             np.where(first, found.low, kept.low),
             np.where(first, found.high, kept.high),
-            np.where(first[:, None], found.doubts, kept.doubts),
+            np.where(first[:, None], found.widths, kept.widths),
             found.place,
         )
 

@@ -504,7 +504,7 @@ def check(
             word = "interrupted" if isinstance(error, Interrupted) else "failed"
             screens.end(word, str(error), error.exit_code)
             raise
-        screens.found(report.findings)
+        screens.findings(report.findings)
         words = "GO for flight" if report.passed else "NO-GO: do not arm"
         screens.end(words, "", 0 if report.passed else 1)
         return report
@@ -523,7 +523,7 @@ class _Check:
     flight_plan: CertifiedPlan | None
     options: CheckOptions
     bodies: tuple[Finding, ...] = ()
-    found: list[Finding] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
 
     def run(self) -> CheckReport:
         self._wait_for_vehicles()
@@ -541,7 +541,7 @@ class _Check:
             on_earth=self.listener.fleet.frame == "gps",
         )  # fmt: skip
         audits = auditor.audit()
-        self._found(finding for audit in audits for finding in audit.findings())
+        self._add(finding for audit in audits for finding in audit.findings())
         self.survey.relay.closed = True
         save_parameters(self.folder, audits)
         changed: list[str] = []
@@ -551,11 +551,11 @@ class _Check:
             audits = auditor.updated(audits)
         audits = self._fixed(auditor, audits, changed)
         if changed:
-            self.found = list(self.bodies)
-            self._found(finding for audit in audits for finding in audit.findings())
+            self.findings = list(self.bodies)
+            self._add(finding for audit in audits for finding in audit.findings())
         self._begin(CheckStep.PLACES)
         placement, order = self._placement()
-        self._found(placement)
+        self._add(placement)
         wanted = self._wanted_fence(order)
         if self.options.fence and wanted:
             changed += auditor.set_fences({audit.system: wanted for audit in audits})
@@ -567,7 +567,7 @@ class _Check:
             fences.append(Finding("error", "fence", f"not uploaded: {self._why_no_fence(wanted)}"))
         self._begin(CheckStep.HOLD)
         hold = self._test_hold()
-        self._found(hold)
+        self._add(hold)
         links = self._soak()
         observed = [*self.bodies, *placement, *hold, *fences]
         return self._report(audits, links, changed, observed, order)
@@ -580,10 +580,10 @@ class _Check:
         self.options.progress(words, share)
         self.options.screens.progress(words, share)
 
-    def _found(self, findings: Iterable[Finding]) -> None:
+    def _add(self, findings: Iterable[Finding]) -> None:
         """Show findings on the screens, after those before."""
-        self.found += findings
-        self.options.screens.found(self.found)
+        self.findings += findings
+        self.options.screens.findings(self.findings)
 
     def _identify(self) -> None:
         """Have a person move one vehicle after the other."""
@@ -600,7 +600,7 @@ class _Check:
 
         say("Propellers off. All vehicles on the ground, and nothing else moved.")
         self.bodies = guided(self.survey, self.folder, say, show).findings()
-        self._found(self.bodies)
+        self._add(self.bodies)
 
     @property
     def plan(self) -> Plan | None:

@@ -82,7 +82,7 @@ class CheckScreens:
         self._socket = ControlSocket(
             self.control, lambda: OperatorConsole(self, self.available, CLIENT)
         )
-        self.found(())
+        self.findings(())
         try:
             yield
         finally:
@@ -107,7 +107,7 @@ class CheckScreens:
         """Add a line to the events."""
         self._waiting.append(Event(self.now, "check", words))
 
-    def found(self, findings: Iterable[Finding]) -> None:
+    def findings(self, findings: Iterable[Finding]) -> None:
         """Show all findings so far, and what is wrong in the rows of the vehicles."""
         findings = tuple(findings)
         wrong = [finding for finding in findings if finding.severity != "info"]
