@@ -369,10 +369,10 @@ def test_couplings_in_a_band_have_no_negative_eigenvalues(reach: int, count: int
 
 
 def test_what_is_too_large_is_refused() -> None:
-    shortening.require_solvable(11, 92.0, 50)
+    shortening.require_solvable(19, 293.5, 161)
     with pytest.raises(Refused) as refused:
-        shortening.require_solvable(19, 293.5, 161)
+        shortening.require_solvable(21, 320.3, 176)
     assert str(refused.value) == (
-        "fold.method: expected certified for 19 vehicles and a fold of 294 s, got optimised: "
-        "9,177 unknowns, at most 5,000"
+        "fold.method: expected certified for 21 vehicles and a fold of 320 s, got optimised: "
+        "11,088 unknowns, at most 10,000"
     )
