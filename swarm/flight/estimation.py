@@ -30,8 +30,9 @@ class Measured(NamedTuple):
     """The latest reports of n vehicles, and their estimated places now.
 
     ``places`` (3, n, 3) are the reported positions of their centres, the reported velocities, and
-    the grip points now, mission ENU; ``numbers`` (3, n) are the times at which the reports were
-    read, the tracking errors, and the times of the reports since each vehicle's boot.
+    the grip points now, mission ENU; ``numbers`` (3, n) are the times of the reports: of
+    reading, or of measurement where they were delayed; the tracking errors, and the times of the
+    reports since each vehicle's boot.
     """
 
     places: Floats3
@@ -64,7 +65,7 @@ class Measured(NamedTuple):
 
     @property
     def at(self) -> Floats:
-        """Times at which the reports were read (n,), seconds."""
+        """Times of the reports (n,), seconds: of reading, or of measurement if delayed."""
         part: Floats = self.numbers[_AT]
         return part
 

@@ -91,7 +91,9 @@ class GripSlipDetector:
         if not (self._enabled and self._comparable(seen, expected)):
             self.reset()
             return []
-        k = self.evaluate(seen.now, seen.measured.at, seen.attitude, seen.velocity, seen.position)
+        at = seen.measured.at
+        grips = seen.position - (seen.now - at)[:, None] * seen.velocity
+        k = self.evaluate(seen.now, at, seen.attitude, seen.velocity, grips)
         if k is None:
             return []
         words = f"{seen.names[k]} leans as after a slip of the cable"
@@ -116,8 +118,8 @@ class GripSlipDetector:
     ) -> int | None:
         """Return the vehicle whose gripper has lost the cable; None where none has.
 
-        ``at`` (n,) are the times of what was measured: ``attitude`` (n, 3) roll, pitch, yaw of NED,
-        radians, and ``velocity`` (n, 3). ``grips`` (n, 3), mission ENU, are those of ``now``.
+        ``at`` (n,) are the times at which ``velocity`` and ``grips`` (n, 3), mission ENU, were
+        measured; ``attitude`` (n, 3), roll, pitch, yaw of NED in radians, is taken as of then.
         """
         held = self._held(grips)
         force = thrust(attitude, held.pull, self._mass)

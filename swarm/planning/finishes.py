@@ -100,21 +100,20 @@ def _with_equal_heights(mission: Mission, hold: PhaseMotion) -> tuple[PhaseMotio
 
 
 def _unfold(mission: Mission, before: Sequence[PhaseMotion]) -> tuple[PhaseMotion, ...]:
-    """Return the flight so far, backwards: fold, lift, contraction if any, grab and take-off.
+    """Return the flight so far, backwards: fold, lift, contraction, grab and take-off.
 
     The cable ends where it lay at first, and every vehicle on its pad.
     """
     part: Mapping[str, PhaseMotion] = {phase.name: phase for phase in before}
-    unfold = reversed_phase(part["fold"], "unfold", gate="settled", reversible=True)
-    laid = "contract" not in part and mission.grab == "floor"
-    lower = reversed_phase(part["lift"], "lower", gate="released" if laid else "settled")
+    reversed_phases = [
+        reversed_phase(part["fold"], "unfold", gate="settled", reversible=True),
+        reversed_phase(part["lift"], "lower", gate="settled"),
+    ]
     if mission.grab == "attached":
-        return unfold, lower, reversed_phase(part["takeoff"], "land", gate="landed")
-    spread = () if laid else (reversed_phase(part["contract"], "spread", gate="released"),)
+        return *reversed_phases, reversed_phase(part["takeoff"], "land", gate="landed")
     return (
-        unfold,
-        lower,
-        *spread,
+        *reversed_phases,
+        reversed_phase(part["contract"], "spread", gate="released"),
         reversed_phase(part["grab"], "finish"),
         reversed_phase(part["takeoff"], "land", gate="landed"),
     )

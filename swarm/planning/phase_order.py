@@ -13,13 +13,13 @@ from swarm.planning.plan import CableState, PhaseName
 
 SUCCESSORS: Mapping[PhaseName, tuple[PhaseName, ...]] = {
     "takeoff": ("grab", "lift"),
-    "grab": ("contract", "lift"),
+    "grab": ("contract",),
     "contract": ("lift",),
     "lift": ("fold",),
     "fold": ("hold", "unfold", "descend", "tighten", "finish"),
     "hold": ("unfold", "descend", "tighten", "finish"),
     "unfold": ("lower",),
-    "lower": ("spread", "finish", "land"),
+    "lower": ("spread", "land"),
     "spread": ("finish",),
     "descend": ("land",),
     "tighten": ("finish",),

@@ -56,13 +56,13 @@ def flight_around_fold(
 ) -> PhaseSequence:
     """Return the whole flight around a fold.
 
-    Before the fold: take-off, grab, contract and lift, without contract where the cable is laid
-    with its slack; with a cable that is tied on, take-off and lift from the positions below the
-    line. After the fold: the hold and the mission's finish.
+    Before the fold: take-off, grab, contract and lift; with a cable that is tied on, take-off and
+    lift from the positions below the line. After the fold: the hold and the mission's finish.
 
     ``lengths`` (n − 1,) are the lengths of the segments, metres. The fold starts with all vehicles
     at one height on a straight line, in order. With ``relaxed`` the contraction ends without pull
-    of the cable on the floor, see :func:`swarm.planning.contraction.contraction`.
+    of the cable on the floor, see :func:`swarm.planning.contraction.contraction`. Cable that is
+    laid with its slack is not contracted: vehicles only rise from their legs.
     """
     lifted = fold.at(fold.times[0])[0]
     folded = fold.at(fold.times[-1])[0]
@@ -114,10 +114,7 @@ def join_phases(motions: tuple[PhaseMotion, ...], gates: list[Gate]) -> PhaseSeq
 def _before_fold(
     mission: Mission, lengths: Floats, lifted: Floats, folded: Floats, *, relaxed: bool
 ) -> tuple[PhaseMotion, ...]:
-    """Return take-off from pads beside the cable, grab, contraction on the floor, and lift.
-
-    Cable that is laid with its slack is not contracted.
-    """
+    """Return take-off from pads beside the cable, grab, contraction on the floor, and lift."""
     vehicles = mission.vehicles
     speed, acceleration = vehicles.max_speed, usable_acceleration(mission)
     slow = min(speed, TOUCHDOWN_SPEED)
@@ -137,18 +134,17 @@ def _before_fold(
         leg(pads + up, grip + up, speed, acceleration),
     )
     grab = staggered_leg(grip + up, grip + low, order, slow, acceleration)
-    phases = [
+    rise = leg(grip + low, grip + carried, slow, 0.25 * acceleration)
+    inwards = () if slack else contraction(
+        mission, lengths, grip + carried, contracted + carried, relaxed=relaxed
+    )  # fmt: skip
+    lift = leg(contracted + carried, lifted, speed, 0.5 * acceleration)
+    return (
         PhaseMotion("takeoff", takeoff, "floor", gate="airborne"),
         PhaseMotion("grab", grab, "floor", gate="gripped"),
-    ]
-    if not slack:
-        contract = concatenate(
-            leg(grip + low, grip + carried, slow, 0.25 * acceleration),
-            *contraction(mission, lengths, grip + carried, contracted + carried, relaxed=relaxed),
-        )
-        phases.append(PhaseMotion("contract", contract, "floor", gate="settled"))
-    lift = leg(contracted + (low if slack else carried), lifted, speed, 0.5 * acceleration)
-    return *phases, PhaseMotion("lift", lift, "lifting", gate="settled")
+        PhaseMotion("contract", concatenate(rise, *inwards), "floor", gate="settled"),
+        PhaseMotion("lift", lift, "lifting", gate="settled"),
+    )
 
 
 def _before_fold_attached(mission: Mission, lifted: Floats) -> tuple[PhaseMotion, ...]:
@@ -177,8 +173,7 @@ def _grip_points_on_floor(contracted: Floats, lengths: Floats) -> Floats:
 
 
 def laid_along(lengths: Floats) -> Floats:
-    """Return the places (n,) of grip points along the cable on the floor, from its middle, where it
-    is laid straight."""
+    """Return the places (n,) of grip points along cable that is laid straight, from its middle."""
     along = np.concatenate([[0.0], np.cumsum(LAID_SHARE * lengths)])
     placed: Floats = along - 0.5 * along[-1]
     return placed

@@ -161,7 +161,7 @@ def _vehicles_table(plan: Plan, labels: Sequence[str], pads: Floats, grips: Floa
         ]
         for k in range(plan.vehicles)
     ]
-    if plan.mission.lay == "slack":
+    if plan.mission.lay == "slack" and len(plan.layout.lengths):
         columns.append("folded back by")
         folds = zip(*folded_back(plan), strict=True)
         words = [

@@ -213,7 +213,7 @@ def test_near_pairs_swing_after_urgent_stops_as_all_do(
     checks = PlanChecks.of(plan)
     every = checks.planned_swings if limit == "auto" else checks.ordinary_swings
     assert every is not None
-    every = replace(every, found={}, approach=every.approach.copy())
+    every = replace(every, strays={}, approach=every.approach.copy())
     every.collect(swings_after(plan, every.span, every.planned, COURSES[:1]))
     assert np.array_equal(found.approach, every.pairs.approach[near])
     assert (found.approach <= tube.pairs.approach[near]).all()
