@@ -12,6 +12,7 @@ horizontal parts are enough, and forces within the team cancel in them.
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -61,6 +62,16 @@ the vehicles farther away is subtracted: weak slips differ by little more."""
 SCORE_NEEDED, CLEAR_SCORE, WEAK_SCORE = 4, 2, 1
 """The sum of scores of successive samples that match the same vehicle's pattern, and the score of
 each match. Whole flights without a slip have no match, not even a weak one."""
+EXCITED_SCORE = 8
+"""The sum of scores that is needed where changes of the clock's rate excite the cable. With delays
+of 300 ms the clock slows down to 0, and up to 0.3 again, every 1.3 s. Matches without a slip then
+reached 6: they end with the swing, within a second."""
+EXCITING_RATE, EXCITING_CHANGE = 0.5, 0.2
+"""Rate below which, and change by which, the clock excites the cable. Before 12 slips of 0.3 N or
+more it was 0.7 at least, with changes of 0.2 at most."""
+_RATES, _SLOWED_BY_SLIP = 15, 3
+"""Samples of the rate that are kept, nearly 4 s, and the last ones of them, which a slip itself may
+have slowed before it matches."""
 _OLDEST = 0.6
 """Seconds of age up to which the oldest position may be used."""
 
@@ -81,6 +92,7 @@ class GripSlipDetector:
         self._bias: Floats | None = None
         self._moved = self._dragged = 0.0
         self._suspect, self._score = -1, 0
+        self._rates: deque[float] = deque(maxlen=_RATES)
         self._next = 0.0
 
     def detect(self, seen: Observation, expected: Expected) -> list[Finding]:
@@ -88,6 +100,7 @@ class GripSlipDetector:
         if seen.now < self._next:
             return []
         self._next = seen.now + INTERVAL
+        self._rates.append(expected.rate)
         if not (self._enabled and self._comparable(seen, expected)):
             self.reset()
             return []
@@ -144,7 +157,7 @@ class GripSlipDetector:
         who, score = self._match(residual - self._bias, held)
         self._score = self._score + score if who == self._suspect else score
         self._suspect = -1 if who is None else who
-        return who if self._score >= SCORE_NEEDED else None
+        return who if self._score >= score_needed(self._rates) else None
 
     @property
     def drag(self) -> float:
@@ -255,6 +268,18 @@ def _could_fit(residual: Floats2, pull: Floats2) -> bool:
         if around > (1.0 - 1e-9) * max(MIN_SHARE**2 * max(own, NOISE_FORCE**2), total):
             return True
     return False
+
+
+def score_needed(rates: Iterable[float]) -> int:
+    """Return the sum of scores with which a slip counts, after these rates of the clock.
+
+    The rates are one for each sample. The last ones do not count: a slip itself slows the clock.
+    """
+    before = list(rates)[:-_SLOWED_BY_SLIP]
+    excited = (
+        bool(before) and min(before) < EXCITING_RATE and max(before) - min(before) > EXCITING_CHANGE
+    )
+    return EXCITED_SCORE if excited else SCORE_NEEDED
 
 
 def match(residual: Floats, centred: Floats, patterns: Floats) -> tuple[int | None, int]:

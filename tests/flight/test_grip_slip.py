@@ -5,7 +5,7 @@ import pytest
 
 from swarm.flight import grip_slip
 from swarm.flight.failures import Latch
-from swarm.flight.grip_slip import GripSlipDetector, lean
+from swarm.flight.grip_slip import GripSlipDetector, lean, score_needed
 from swarm.geometry.catenary import STANDARD_GRAVITY
 from swarm.mission.fleet import emulated_fleet
 from swarm.simulation.loop import Fault
@@ -100,6 +100,19 @@ def test_delays_that_grow_are_no_pull(measured: bool) -> None:
         times = at if measured else np.full(5, now)
         seen.add(detector.evaluate(now, times, attitude, velocity, grips))
     assert seen == ({None} if measured else {None, 0})
+
+
+def test_a_clock_that_slows_and_speeds_up_needs_a_longer_match():
+    """Its changes excite the cable, and a swing matches a slip for half a period at most."""
+    varied = [0.33, 0.08, 0.0, 0.04, 0.12, 0.21, 0.29, 0.32, 0.07, 0.0, 0.06, 0.14]
+    assert score_needed(varied) == 8
+    assert score_needed(varied[:3]) == 4  # three samples old: a slip may have slowed it
+    assert score_needed([1.0] * 9 + [0.6, 0.3, 0.0]) == 4
+    assert score_needed([1.0] * 8 + [0.6, 0.3, 0.0, 0.0]) == 4
+    assert score_needed([1.0] * 7 + [0.6, 0.3, 0.0, 0.0, 0.0]) == 8
+    assert score_needed([0.0] * 15) == 4
+    assert score_needed([0.73, 0.95, 0.8, 0.9, 0.74, 0.95]) == 4
+    assert score_needed([]) == 4
 
 
 WRONG = 0.05
