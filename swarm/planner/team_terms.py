@@ -603,15 +603,9 @@ def _pose(
 
 @inner
 def _are_near(
-    i: int,
-    j: int,
-    reach: float,
-    at: _At,
-    place: Floats,
-    team: Team,
-    record: ShownNeeds,
+    i: int, j: int, reach: float, at: _At, place: Floats, team: Team, record: ShownNeeds,
     memory: Memory,
-) -> bool:
+) -> bool:  # fmt: skip
     """Return whether two strands may be nearer than ``reach``; then both are written."""
     for k in (i, j):
         _require_strand(k, at, place, team, record, memory)

@@ -146,31 +146,31 @@ def _vehicles_table(plan: Plan, labels: Sequence[str], pads: Floats, grips: Floa
     marks = [f"{mark:.2f} m" for mark in grip_marks(plan)] or none
     segments = [f"{length:.2f} m" for length in plan.layout.lengths]
     segments = [*segments, ""] if segments else none
-    columns = [
+    columns: tuple[str, ...] = (
         "vehicle", "label", "grip mark from the cable's end", "pad x, y", "grip x, y",
         "next segment",
-    ]  # fmt: skip
-    values = [
-        [
+    )  # fmt: skip
+    folds: list[tuple[str, ...]] = [()] * plan.vehicles
+    if plan.mission.lay == "slack" and len(plan.layout.lengths):
+        columns = (*columns, "folded back by")
+        each = zip(*folded_back(plan), strict=True)
+        folds = [
+            (f"{times} × {back:.2f} m" if times > 1 else f"{back:.2f} m",) for back, times in each
+        ]
+        folds.append(("",))
+    rows = [
+        (
             str(k + 1),
             labels[k],
             marks[k],
             f"{pads[k, 0]:.2f}, {pads[k, 1]:.2f}",
             f"{grips[k, 0]:.2f}, {grips[k, 1]:.2f}",
             segments[k],
-        ]
+            *folds[k],
+        )
         for k in range(plan.vehicles)
     ]
-    if plan.mission.lay == "slack" and len(plan.layout.lengths):
-        columns.append("folded back by")
-        folds = zip(*folded_back(plan), strict=True)
-        words = [
-            f"{times} × {back:.2f} m" if times > 1 else f"{back:.2f} m" for back, times in folds
-        ]
-        for row, fold in zip(values, [*words, ""], strict=True):
-            row.append(fold)
-    rows = [tuple(row) for row in values]
-    return Table(tuple(columns), rows, numbers=(0, *range(2, len(columns))))
+    return Table(columns, rows, numbers=(0, *range(2, len(columns))))
 
 
 def _lay_line(grips: Floats) -> LayLine:
