@@ -345,8 +345,8 @@ FAILURE_CASES: tuple[FailureCase, ...] = (
         explanation=(
             "the cable between its neighbours becomes one long strand; the slip is detected from "
             "their lean, and where that changes by less than 0.2 N only after the team has moved; "
-            "where cable is above a vehicle as it falls, or comes there in its first swing, it "
-            "falls on the rotor"
+            "where cable is above a vehicle as it falls, or comes there in its first swing or "
+            "before the team stands, it falls on the rotor"
         ),
     ),
     FailureCase(

@@ -49,6 +49,9 @@ SAMPLE_INTERVAL: Final = 0.1
 LATE_REACTION: Final = 3.0
 """Seconds after the end of a fault up to which a slower clock counts as a reaction to it."""
 
+_STANDING: Final = 0.05
+"""Rate of the mission clock up to which the team stands."""
+
 _MIN_HEIGHT: Final = 0.5
 """Metres above the floor below which a vehicle's cable is no longer evaluated: it lies down."""
 
@@ -97,6 +100,8 @@ class GroundTruthMonitor:
     on the ``vehicle`` that must be detected (``hidden_time``) and in which it has one
     (``visible_time``): a slip changes the pulls enough to be measured, another fault moves the
     vehicle out of its tracking radius. ``hidden_slip``: a slip had none at the last sample.
+    ``may_not_fall_at`` and ``stood_at`` are the times of the first samples at which the plan had
+    cable above a rotor, and the clock stood; infinite where none was (``stood_at``: minus).
     Obstacles are touched by vehicles that fly, and by cable that all of them hold. Only a vehicle
     whose own failure it is may leave the fence: it may not know where it is.
     """
@@ -112,6 +117,7 @@ class GroundTruthMonitor:
         self._laid_down = False
         self.strand_distance = self.vehicle_distance = np.inf
         self.chord_ratio = 0.0
+        self.may_not_fall_at, self.stood_at = np.inf, -np.inf
         self.obstacle_contacts: dict[str, None] = {}
         self.fence_exits: dict[str, None] = {}
 
@@ -127,6 +133,11 @@ class GroundTruthMonitor:
         counts = self._case.may_be_hidden and not detected
         if counts and flight.conductor.stage == "execute":
             self._sample_effect()
+        clock = flight.conductor.clock
+        if not flight.conductor.state.setup.windows.may_fall(clock.time):
+            self.may_not_fall_at = min(self.may_not_fall_at, flight.now)
+        if np.isinf(self.stood_at) and abs(clock.rate) <= _STANDING:
+            self.stood_at = flight.now
         truth = flight.emulator.truth()
         position = truth.position
         flying = ~flight.emulator.bodies.tumbling & (position[:, 2] > _MIN_HEIGHT)
@@ -223,7 +234,9 @@ def evaluate(
     system = flight.conductor.flyers[injection.vehicle].system
     exempt = monitor.rotor_strikes(system) if case.own_strikes else []
     if case.cable_falls:
-        exempt = _below_falling(flight, injection, monitor.rotor_strikes())
+        segments = slice(max(injection.vehicle - 1, 0), injection.vehicle + 1)
+        length = float(flight.flight_plan.plan.layout.lengths[segments].sum())
+        exempt = _below_falling(monitor.rotor_strikes(), monitor, began, length)
     events = [event for event in flight.events if event.kind in {"failure", "hold", "contingency"}]
     if case.station_fault:
         events += [event for event in flight.events if event.kind == "operator"]
@@ -326,29 +339,17 @@ def _landed_alone_outside_window(
 
 
 def _below_falling(
-    flight: SteppedSimulation, injection: Injection, strikes: Sequence[float]
+    strikes: Sequence[float], monitor: GroundTruthMonitor, slipped_at: float, length: float
 ) -> list[float]:
-    """Return the strikes by a strand that has lost a grip and falls on rotors below it.
+    """Return the strikes by a strand of a ``length`` that has lost a grip: it falls on rotors.
 
-    Until then the plan has had cable above a rotor, and the strand of both segments swings for the
-    first time: 5.2 √(ℓ/2g) is its period where its ends are together.
+    Until then the plan has had cable above a rotor, and the team, which must detect the slip while
+    it can be measured, has not stopped yet, or the strand swings for the first time: 5.2 √(ℓ/2g) is
+    its period where its ends are together.
     """
-    lengths = flight.flight_plan.plan.layout.lengths
-    length = float(lengths[max(injection.vehicle - 1, 0) : injection.vehicle + 1].sum())
-    period = 5.2 * math.sqrt(0.5 * length / STANDARD_GRAVITY)
-    end, may_fall = flight.conductor.clock.time, flight.conductor.state.setup.windows.may_fall
-
-    def falls_on_rotor(duration: float) -> bool:
-        """Return whether cable was above a rotor in the seconds after the fault."""
-        last = max(min(injection.mission_time + duration, end), injection.mission_time)
-        moments = np.append(np.arange(injection.mission_time, last, SAMPLE_INTERVAL), last)
-        return not all(may_fall(moment) for moment in moments)
-
-    return [
-        strike
-        for strike in strikes
-        if strike <= injection.time + period and falls_on_rotor(strike - injection.time)
-    ]
+    first_swing = slipped_at + 5.2 * math.sqrt(0.5 * length / STANDARD_GRAVITY)
+    last = max(first_swing, monitor.stood_at)
+    return [strike for strike in strikes if monitor.may_not_fall_at <= strike <= last]
 
 
 def _certified_distances(flight: SteppedSimulation, case: FailureCase) -> tuple[float, float]:
@@ -744,7 +745,7 @@ def fly_fault_trial(flight: SteppedSimulation, case: FailureCase, vehicle: int) 
             or monitor.hidden_slip
         ):
             undisturbed_since = flight.now
-        elif flight.now - undisturbed_since > OBSERVATION_TIME and conductor.clock.rate > 0.05:
+        elif flight.now - undisturbed_since > OBSERVATION_TIME and conductor.clock.rate > _STANDING:
             break
     return evaluate(flight, Injection(case, vehicle, began, mission_time, slowed_after), monitor)
 

@@ -705,24 +705,18 @@ def test_a_wind_beyond_w_is_a_wind_that_vehicles_can_hold():
 
 
 @pytest.mark.parametrize(
-    ("closed", "end", "exempt"),
-    [((), 60.0, []), ((41.0, 41.3), 60.0, [31.5, 32.0]), ((41.0, 41.3), 40.5, [])],
+    ("above_rotor", "stood", "exempt"),
+    [
+        (np.inf, 31.0, []),
+        (31.0, 31.0, [31.5, 32.0]),
+        (31.0, 33.5, [31.5, 32.0, 33.5]),
+        (31.0, -np.inf, [31.5, 32.0]),
+    ],
 )
-def test_strikes_after_a_slip_are_exempt_below_cable_and_in_the_first_swing_only(
-    closed, end, exempt
+def test_strikes_after_a_slip_are_exempt_below_cable_until_the_team_stands(
+    above_rotor, stood, exempt
 ):
-    """A second after the slip at 40 s of the plan a rotor is below cable, or never, or the clock
-    stops before. Two segments of 4 m swing back within 3.3 s."""
-    windows = SimpleNamespace(may_fall=lambda time: not (closed and closed[0] <= time <= closed[1]))
-    flight = SimpleNamespace(
-        flight_plan=SimpleNamespace(
-            plan=SimpleNamespace(layout=SimpleNamespace(lengths=np.full(4, 4.0)))
-        ),
-        conductor=SimpleNamespace(
-            clock=SimpleNamespace(time=end),
-            state=SimpleNamespace(setup=SimpleNamespace(windows=windows)),
-        ),
-    )
-    slip = evaluation.Injection(BY_NAME["gripper slips"], 2, 30.0, 40.0, None)
-    strikes = [30.5, 31.5, 32.0, 33.5]
-    assert evaluation._below_falling(flight, slip, strikes) == exempt
+    """Or in the first swing: two segments of 4 m, of which one slips at 30 s, swing for 3.3 s."""
+    monitor = SimpleNamespace(may_not_fall_at=above_rotor, stood_at=stood)
+    strikes = [30.5, 31.5, 32.0, 33.5, 34.0]
+    assert evaluation._below_falling(strikes, monitor, 30.0, 8.0) == exempt
