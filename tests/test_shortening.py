@@ -55,7 +55,9 @@ def begun() -> tuple[Shortening, Fold, Frozen]:
     frozen = shortening._measured_first(short, fold)
     fold = replace(fold, duration=0.7 * fold.duration)
     room = np.full(len(short.loss_shares), 0.1)
-    frozen = replace(frozen, coasting=shortening._coasting(short, fold, room))
+    allowed = np.linspace(1.0, 0.4, frozen.gains.size).reshape(frozen.gains.shape)
+    coasting = shortening._coasting(short, fold, room)
+    frozen = replace(frozen, allowed=allowed, coasting=coasting)
     return short, fold, frozen
 
 
@@ -260,14 +262,14 @@ def test_a_shorter_fold_is_cleared_and_needs_no_slower_clock() -> None:
 def test_an_optimised_fold_is_the_same_from_a_start_that_differs_by_millimetres() -> None:
     """It has converged, and is not where chance ended it."""
     short, fold = Shortening.of(as_certified().plan)
-    moments, room = short.problem.moments, np.full(len(short.loss_shares), 0.05)
-    wanted = shortening.Wanted(np.zeros((moments, 4, 4)), np.zeros((moments, 5, 4))), room
+    room = np.full(len(short.loss_shares), 0.05)
     rng = np.random.default_rng(1)
     found = []
     for size in (0.0, 0.002):
         start = replace(fold, free=fold.free + rng.normal(scale=size, size=fold.free.shape))
         frozen = shortening._measured_first(short, start)
-        centred = shortening._centred(short, start, frozen, wanted, 300.0)
+        wanted = shortening.Wanted.nothing(frozen.needs)
+        centred = shortening._centred(short, start, frozen, (wanted, room), 300.0)
         assert centred is not None
         found.append(centred[0])
     assert found[0].duration == pytest.approx(found[1].duration, rel=0.03)
@@ -282,7 +284,7 @@ def stricter(plan: Plan, **clearance: float) -> Plan:
 def asked_of(short: Shortening, fold: Fold) -> tuple[Needs, shortening.Wanted]:
     """The needs of a motion, and nothing that the certificate asks for beyond them."""
     needs = shortening._measured_first(short, fold).needs
-    return needs, shortening.Wanted(np.zeros_like(needs.strands), np.zeros_like(needs.bodies))
+    return needs, shortening.Wanted.nothing(needs)
 
 
 @pytest.mark.slow
@@ -299,17 +301,26 @@ def test_the_certificate_asks_for_more_where_a_clearance_does_not_hold() -> None
     assert (asked.bodies > needs.bodies)[short_of].all()
     again = shortening._wanted(short, plan, needs, asked)
     np.testing.assert_array_equal(again.bodies, asked.bodies)
+    apart = shortening._wanted(short, stricter(plan, vehicle=3.0), needs, none).aside
+    assert (apart > short.problem.team.aside)[apart > 0.0].all()
+    assert not before.aside.any()
+    assert apart[:, 0].any()
 
 
 @pytest.mark.slow
-def test_a_budget_asks_for_no_more_at_the_end_than_the_knot_keeps() -> None:
+def test_a_budget_asks_at_the_end_for_no_more_than_the_knot_keeps_but_for_less_swing() -> None:
     plan = as_certified().plan
     short, fold = Shortening.of(plan)
-    asked = shortening._wanted(short, stricter(plan, cable=0.6), *asked_of(short, fold)).strands
+    asked = shortening._wanted(short, stricter(plan, cable=0.6), *asked_of(short, fold))
     near = np.isfinite(short.kept)
     assert near.any()
-    assert (asked[-1] <= short.kept)[near].all()
-    assert (asked > short.kept)[:, near].any(), "where the vehicles are still on their way"
+    assert (asked.strands[-1] <= short.kept)[near].all()
+    assert (asked.strands > short.kept)[:, near].any(), "where the vehicles are still on their way"
+    swinging_less = np.flatnonzero(asked.less[-1])
+    first, second = np.nonzero(near)
+    assert len(swinging_less)
+    assert set(swinging_less) <= {*first, *second}
+    assert not asked.less[: len(asked.less) // 2].any(), "near the knot only"
 
 
 def test_less_swing_is_asked_for_where_lumped_masses_swing_too_far() -> None:

@@ -171,16 +171,22 @@ class Coasting:
 @dataclass(frozen=True, eq=False)
 class Frozen:
     """What is measured at a motion: needs, and for s moments and m strands the squared frequency
-    of the first mode, its damping, and the factor of its size (s, m); without ``coasting`` no
-    losses of setpoints count. Barriers are parabolas below ``soft`` times :data:`RELAXED_SHARE` or
-    :data:`.RELAXED`."""
+    of the first mode, its damping, the factor of its size, and the share of the limit of the swing
+    that it may use (s, m); without ``coasting`` no setpoints are lost. Barriers are parabolas below
+    ``soft`` times :data:`RELAXED_SHARE` or :data:`.RELAXED`."""
 
     needs: Needs
     squares: Floats
     damping: Floats
     gains: Floats
+    allowed: Floats
     coasting: Coasting | None
     soft: float = 1.0
+
+
+def held_on(values: Floats, count: int) -> Floats:
+    """Return values (s,) with the last of them held on, ``count`` in all."""
+    return np.concatenate([values, np.full(count - len(values), values[-1])])
 
 
 @dataclass(eq=False)
@@ -659,7 +665,8 @@ class Problem:
         value, squares = below(parts, self.limits.swing, soft, pair)
         if slopes is not None and squares is not None:
             self._add(slopes, squares)
-        return value, np.linalg.norm(np.concatenate([part.moved for part in parts], axis=1), axis=1)
+        swing = np.linalg.norm(np.concatenate([part.moved for part in parts], axis=1), axis=1)
+        return value, swing * held_on(frozen.allowed[:, i], len(swing))
 
     def _add(self, slopes: Slopes, squares: Squares) -> None:
         """Add the derivatives of the cost of a vector that two vehicles move."""
@@ -690,10 +697,10 @@ class Problem:
         no derivatives by control points."""
         s = len(velocity)
         step = duration / (s - 1)
-        held = np.concatenate([np.arange(s), np.full(math.ceil(SETTLING / step), s - 1)])
+        count = s + math.ceil(SETTLING / step)
         gain, square, damping = (
-            np.ascontiguousarray(each[held, i])
-            for each in (frozen.gains, frozen.squares, frozen.damping)
+            held_on(each[:, i], count)
+            for each in (frozen.gains / frozen.allowed, frozen.squares, frozen.damping)
         )
         begins = _PER_KNOT * np.maximum(np.arange(self.count) - DEGREE, 0)
         first, second = (self.basis.values[d] / duration**d for d in (1, 2))
@@ -702,13 +709,13 @@ class Problem:
             speed = 0.5 * (velocity[:, i + 1] + sign * velocity[:, i])
             pushed = 0.5 * (acceleration[:, i + 1] + sign * acceleration[:, i])
             size = np.linalg.norm(speed, axis=1) + 1e-9
-            force = np.zeros((len(held), axes))
+            force = np.zeros((count, axes))
             force[:s] = _STEP_RESPONSE * (pushed + self.drag * size[:, None] * speed)[:, :axes]
             mode = Mode(squares, damping, gain, 0.5 * _STEP_RESPONSE, self.drag, begins)
             moved = swung(mode, force, step)
             # A longer duration makes forces smaller by its square, and steps longer.
             later = swung(mode, force / (1.0 + _STRETCH) ** 2, step * (1.0 + _STRETCH))
-            rows = np.zeros((len(held) if derive else 0, 1 + axes, 3 * self.count))
+            rows = np.zeros((count if derive else 0, 1 + axes, 3 * self.count))
             if derive:
                 memory = np.zeros((3, axes, 3 * self.count))
                 oscillate_by_points(first, second, speed, mode, step, rows, memory)

@@ -45,6 +45,7 @@ from swarm.planner.fold_problem import (
     Limits,
     Problem,
     Slopes,
+    held_on,
     modes,
 )
 from swarm.planner.pacing import swing_limit
@@ -85,6 +86,13 @@ _LIFTED = 12
 _KEPT_AT_REST, _LEAST_AT_REST = 0.015, 0.3
 """Metres by which a need is less than what the folded knot keeps, where that is less than it, and
 the least of such needs."""
+
+_NEAR_KNOT = 0.5
+"""Metres from its place in the knot up to which a vehicle counts as near it: a need of strands may
+be missed by as much as vehicles are farther away."""
+
+_LEAST_ALLOWED = 0.25
+"""Least share of the limit of the swing to which it is lowered where the knot keeps too little."""
 
 _AROUND = 0.75
 """Seconds around a moment for which what the certificate finds there counts: its intervals are half
@@ -143,8 +151,8 @@ _PERIOD, _LEAST_SWING, _LEAST_GAIN, _LARGEST_GAIN = 1.4, 0.15, 0.7, 8.0
 """Seconds in which strays and oscillators are compared, about a period; share of the limit that an
 oscillator counts as swinging at least; and the range of its correction."""
 
-_ROUNDS = 5
-"""Largest number of rounds."""
+_ROUNDS = 8
+"""Largest number of rounds: the square knot needs five."""
 
 _MOST_UNKNOWNS = 10_000
 """Unknowns of a problem: a step of 9,177 (the Carrick mat) takes 3 s of a processor."""
@@ -155,21 +163,19 @@ class Shortening:
     """A problem, the plan that it shortens, and what its rounds share.
 
     ``strands`` are those that are simulated. ``kept`` (m, m) are the needs of strands that the
-    folded knot keeps, infinite where it has them far apart; ``caps`` those where it keeps less than
-    its tracking errors ask for, infinite elsewhere.
+    folded knot keeps, infinite where it has them far apart: near its end, a fold keeps no more.
     """
 
     plan: Plan
     problem: Problem
     strands: tuple[Strands, ...]
     kept: Floats
-    caps: Floats
 
     @staticmethod
     def of(plan: Plan) -> "tuple[Shortening, Fold]":
         """Return the problem of a plan's fold, and its motion as the start."""
         problem, fold = _problem_of(plan)
-        return Shortening(plan, problem, strands_of(plan), *_kept_and_caps(problem)), fold
+        return Shortening(plan, problem, strands_of(plan), _kept(problem)), fold
 
     def motion(self, fold: Fold) -> Motion:
         """Return the motion from time 0: quintics through states every 0.05 s."""
@@ -210,7 +216,7 @@ def shorten(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) ->
     short, fold = Shortening.of(plan)
     require_solvable(plan.vehicles, fold.duration, short.problem.count)
     fold, frozen = _slow_enough(short, fold)
-    wanted = Wanted(np.zeros_like(frozen.needs.strands), np.zeros_like(frozen.needs.bodies))
+    wanted = Wanted.nothing(frozen.needs)
     room = np.full(len(short.loss_shares), _ROOM_AFTER_LOSS)
     for number in range(_ROUNDS):
         progress("shortening the fold", number / _ROUNDS)
@@ -244,11 +250,20 @@ def aimed_wind(mission: Mission) -> float:
 
 
 class Wanted(NamedTuple):
-    """Least needs of strands (s, m, m), and of vehicles and strands (s, n, m), that the certificate
-    asks for, metres."""
+    """What the certificate asks for, metres: least needs of strands (s, m, m), of vehicles and
+    strands (s, n, m), and of vehicles beside each other (s, n, n); and by how much ``less`` than
+    the limit a strand may swing (s, m), where the knot keeps no more than it keeps."""
 
     strands: Floats
     bodies: Floats
+    aside: Floats
+    less: Floats
+
+    @staticmethod
+    def nothing(needs: Needs) -> "Wanted":
+        """Return what asks for no more than ``needs``."""
+        every = needs.strands, needs.bodies, needs.aside, needs.floor
+        return Wanted(*(np.zeros_like(each) for each in every))
 
 
 def require_solvable(vehicles: int, duration: float, control_points: int) -> None:
@@ -368,22 +383,31 @@ def _needs(team: Team, room: Floats) -> Needs:
     )  # fmt: skip
 
 
-def _kept_and_caps(problem: Problem) -> tuple[Floats, Floats]:
-    """Return :attr:`Shortening.kept` and :attr:`Shortening.caps`."""
+def _kept(problem: Problem) -> Floats:
+    """Return :attr:`Shortening.kept`."""
     places = np.broadcast_to(problem.folded, (1, *problem.folded.shape)).copy()
     record = problem.shown_by(places, _needs(problem.team, np.ones(1)))
     distance, need = record.distances[0], record.strands[0]
-    kept = np.where(need > 0.0, np.maximum(distance - _KEPT_AT_REST, _LEAST_AT_REST), np.inf)
-    return kept, np.where(need > kept, kept, np.inf)
+    return np.where(need > 0.0, np.maximum(distance - _KEPT_AT_REST, _LEAST_AT_REST), np.inf)
+
+
+def _most(short: Shortening, places: Floats) -> Floats:
+    """Return the largest needs of strands (s, m, m) that places (s, n, 3) can keep.
+
+    Near the end of a fold, they are those of the knot.
+    """
+    moved = np.linalg.norm(places - places[-1], axis=2).max(axis=1)
+    most: Floats = short.kept + np.maximum(moved - _NEAR_KNOT, 0.0)[:, None, None]
+    return most
 
 
 def _measured_first(short: Shortening, fold: Fold) -> Frozen:
     problem, (s, m) = short.problem, (short.problem.moments, short.plan.vehicles - 1)
     squares, damping = modes(np.ones((s, m)))
     needs = _needs(problem.team, np.zeros(s))
-    frozen = Frozen(needs, squares, damping, np.ones((s, m)), None)
-    wanted = Wanted(np.zeros_like(needs.strands), np.zeros_like(needs.bodies))
-    frozen = _with_needs(short, frozen, problem.evaluate(fold, frozen), wanted, 1.0)
+    frozen = Frozen(needs, squares, damping, np.ones((s, m)), np.ones((s, m)), None)
+    shown = problem.evaluate(fold, frozen)
+    frozen = _with_needs(short, fold, frozen, shown, Wanted.nothing(needs), 1.0)
     for _ in range(2):
         shown = problem.evaluate(fold, frozen)
         frozen = replace(frozen, gains=_gains(short, fold, frozen, shown, 1.0)[0])
@@ -395,12 +419,12 @@ def _centred(
 ) -> tuple[Fold, Frozen] | None:
     """Return the motion at the end of a round of steps, and what is measured at it.
 
-    None where the steps converge to a motion that has no room left, or end at one that misses far
-    more than that.
+    None where that motion misses far more than the room beyond its needs.
     ``asked`` are what the certificate asks for, and the room (l,) after lost setpoints.
     """
     problem, (wanted, room) = short.problem, asked
-    frozen = replace(frozen, coasting=_coasting(short, fold, room))
+    allowed = np.maximum(1.0 - wanted.less / problem.limits.swing, _LEAST_ALLOWED)
+    frozen = replace(frozen, allowed=allowed, coasting=_coasting(short, fold, room))
     damping = 1.0
     for _ in range(_MOST_STEPS):
         frozen = replace(frozen, soft=min(_SOFTEST, _SOFTENED / weight))
@@ -410,13 +434,13 @@ def _centred(
             partial(_gains, short, fold, frozen, shown, _TOWARDS),
             partial(_coasting, short, fold, room),
         )
-        frozen = _with_needs(short, frozen, shown, wanted, _TOWARDS)
+        frozen = _with_needs(short, fold, frozen, shown, wanted, _TOWARDS)
         frozen = replace(frozen, gains=gains, coasting=coasting)
         exceeded = _exceeded(problem.limits, shown, stray)
         last = weight == _LAST_WEIGHT or exceeded >= _NEARLY_KEPT
         within = _CONVERGED if exceeded < _KEPT else _STILL
         if last and step.share > 0.0 and step.decrement < within:
-            return (fold, frozen) if exceeded < 1.0 else None
+            return (fold, frozen) if exceeded < _NEARLY_KEPT else None
         near = step.decrement < _NEAR_CENTRE
         enough = step.share > (_BRIEF if near else _WHOLE) and step.decrement < _FAR_FROM_CENTRE
         if enough and exceeded < _NEARLY_KEPT:
@@ -439,21 +463,25 @@ def _exceeded(limits: Limits, shown: Evaluation, stray: float) -> float:
 
 
 def _with_needs(
-    short: Shortening, frozen: Frozen, shown: Evaluation, wanted: Wanted, share: float
+    short: Shortening, fold: Fold, frozen: Frozen, shown: Evaluation, wanted: Wanted, share: float
 ) -> Frozen:
     """Return needs and modes as a motion shows them, by a ``share`` of their changes."""
-    record, needs = shown.needs, frozen.needs
+    record, needs, team = shown.needs, frozen.needs, short.problem.team
+    aside = np.maximum(team.aside, wanted.aside)
 
     def towards(old: Floats, new: Floats) -> Floats:
         return np.where(new > 0.0, old + share * (new - old), old)
 
-    strands = np.minimum(np.maximum(record.strands, wanted.strands), short.caps)
+    most = _most(short, short.problem.states(fold, short.problem.shares)[0])
+    strands = np.minimum(np.maximum(record.strands, wanted.strands), most)
     bodies = np.where(record.bodies > 0.0, np.maximum(record.bodies, wanted.bodies), 0.0)
     needs = needs._replace(
         strands=towards(needs.strands, np.where(record.strands > 0.0, strands, 0.0)),
         bodies=towards(needs.bodies, bodies),
         floor=towards(needs.floor, record.floor),
         beside=towards(needs.beside, record.beside),
+        aside=aside,
+        above=team.above + aside - team.aside,
     )
     squares, damping = modes(record.sags)
     return replace(frozen, needs=needs, squares=squares, damping=damping)
@@ -473,8 +501,7 @@ def _gains(
     wide, gains = max(1, round(_PERIOD / step)), frozen.gains.copy()
     least = _LEAST_SWING * short.problem.limits.swing
     for i, old in enumerate(frozen.gains.T):
-        before = np.concatenate([old, np.full(count - moments, old[-1])])
-        alone = scipy.ndimage.maximum_filter1d(shown.swings[:, i] / before, wide)
+        alone = scipy.ndimage.maximum_filter1d(shown.swings[:, i] / held_on(old, count), wide)
         seen = np.interp(step * np.arange(count), times, stray[:, i])
         ratio = scipy.ndimage.maximum_filter1d(seen, wide) / np.maximum(alone, least)
         ratio = scipy.ndimage.maximum_filter1d(np.clip(ratio, _LEAST_GAIN, _LARGEST_GAIN), wide)
@@ -501,23 +528,29 @@ def _wanted(short: Shortening, plan: Plan, needs: Needs, before: Wanted) -> Want
     """Return what the certificate asks for, beyond ``needs`` that are too small and ``before``."""
     fold = plan.phase("fold")
     at = short.problem.shares * fold.duration + fold.start
-    strands = np.maximum(before.strands, _needed_for_budget(plan, at))
-    bodies = before.bodies.copy()
+    strands, bodies, aside, _ = Wanted.nothing(needs)
+    strands = np.maximum(strands, _needed_for_budget(plan, at))
     segments = {segment_name(k): k for k in range(plan.vehicles - 1)}
     vehicles = {vehicle_name(k): k for k in range(plan.vehicles)}
     for moment in (*violations(plan), *violations_in_wind(plan, aimed_wind(plan.mission))):
         first, second = moment.between
-        around = np.abs(at - moment.time) <= _AROUND
-        for least, need, names in (
-            (strands, needs.strands, segments), (bodies, needs.bodies, vehicles)
-        ):  # fmt: skip
-            if first in names and second in segments:
-                here = around, names[first], segments[second]
+        around = np.abs(at - min(moment.time, at[-1])) <= _AROUND
+        for least, need, of_first, of_second in (
+            (strands, needs.strands, segments, segments),
+            (bodies, needs.bodies, vehicles, segments),
+            (aside, needs.aside, vehicles, vehicles),
+        ):
+            if first in of_first and second in of_second:
+                here = around, of_first[first], of_second[second]
                 least[here] = np.maximum(least[here], need[here] - moment.margin + _ROOM)
-    # Near its end, a fold is too near the knot for strands to be farther apart than in that.
-    places = plan.motion.at(at)[0]
-    moved = np.linalg.norm(places - places[-1], axis=2).max(axis=1)[:, None, None]
-    return Wanted(np.minimum(strands, np.minimum(short.kept + 2.0 * moved, short.caps)), bodies)
+    most = _most(short, plan.motion.at(at)[0])
+    missed = np.maximum(strands - most, 0.0)
+    less = 0.5 * np.maximum(missed.max(axis=1), missed.max(axis=2))
+    # what swings at a moment has begun to in the period before
+    wide = 2 * round(_PERIOD / (at[1] - at[0])) + 1
+    less = scipy.ndimage.maximum_filter1d(less, wide, axis=0, origin=-(wide // 2), mode="constant")
+    asked = Wanted(np.minimum(strands, most), bodies, aside, before.less + less)
+    return Wanted(*map(np.maximum, before, asked))
 
 
 def _needed_for_budget(plan: Plan, at: Floats) -> Floats:
