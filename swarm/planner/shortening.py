@@ -219,9 +219,10 @@ def shorten(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) ->
     wanted = Wanted.nothing(frozen.needs)
     room = np.full(len(short.loss_shares), _ROOM_AFTER_LOSS)
     for number in range(_ROUNDS):
-        progress("shortening the fold", number / _ROUNDS)
         weight = _LATER_WEIGHT if number else _FIRST_WEIGHT
-        centred = _centred(short, fold, frozen, (wanted, room), weight)
+        centred = _centred(
+            short, fold, frozen, (wanted, room), weight, partial(_show, progress, number)
+        )
         if centred is None:
             break
         fold, frozen = centred
@@ -234,6 +235,12 @@ def shorten(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) ->
         wanted, room = _wanted(short, draft, frozen.needs, wanted), room + _MORE_AFTER_LOSS * missed
         short = short.swinging_less(fold)
     progress("shortening the fold", 1.0)
+
+
+def _show(progress: Progress, number: int, share: float) -> None:
+    """Tell which ``share`` of a round is done. Of a number that is not known, each round counts
+    half of what remains."""
+    progress("shortening the fold", 1.0 - 0.5 ** (number + share))
 
 
 def _slow_enough(short: Shortening, fold: Fold) -> tuple[Fold, Frozen]:
@@ -415,14 +422,17 @@ def _measured_first(short: Shortening, fold: Fold) -> Frozen:
 
 
 def _centred(
-    short: Shortening, fold: Fold, frozen: Frozen, asked: tuple[Wanted, Floats], weight: float
-) -> tuple[Fold, Frozen] | None:
+    short: Shortening, fold: Fold, frozen: Frozen, asked: tuple[Wanted, Floats], weight: float,
+    done: Callable[[float], None] = lambda _share: None,
+) -> tuple[Fold, Frozen] | None:  # fmt: skip
     """Return the motion at the end of a round of steps, and what is measured at it.
 
     None where that motion misses far more than the room beyond its needs.
-    ``asked`` are what the certificate asks for, and the room (l,) after lost setpoints.
+    ``asked`` are what the certificate asks for, and the room (l,) after lost setpoints; ``done`` is
+    called with the share of the way to the last weight.
     """
     problem, (wanted, room) = short.problem, asked
+    first = weight
     allowed = np.maximum(1.0 - wanted.less / problem.limits.swing, _LEAST_ALLOWED)
     frozen = replace(frozen, allowed=allowed, coasting=_coasting(short, fold, room))
     damping = 1.0
@@ -445,6 +455,7 @@ def _centred(
         enough = step.share > (_BRIEF if near else _WHOLE) and step.decrement < _FAR_FROM_CENTRE
         if enough and exceeded < _NEARLY_KEPT:
             weight = min(weight * (_GROWTH + _FASTER * step.share), _LAST_WEIGHT)
+        done(math.log(weight / first) / math.log(_LAST_WEIGHT / first))
     return (fold, frozen) if shown.missed < _NEARLY_KEPT * _ROOM else None
 
 
