@@ -22,7 +22,7 @@ kind is a row with an evaluator; repairs, monitor, reports and pages walk the sa
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property, lru_cache, partial
 from itertools import chain
 
 import numpy as np
@@ -254,8 +254,8 @@ def tightest_moments(
     return tuple(tightest)
 
 
-def violations(plan: Plan, *, swinging: bool = True) -> tuple[Moment, ...]:
-    """Return the moments at which clearances do not hold.
+def violations(plan: Plan, *, swinging: bool = True, radii: float = 1.0) -> tuple[Moment, ...]:
+    """Return the moments at which clearances do not hold, for some ``radii`` of tracking errors.
 
     For every pair, the worst moment of every second or less in which it fails, for the repair.
     Where clearances fail after a part of the ordinary stops already, the others are not simulated.
@@ -263,13 +263,13 @@ def violations(plan: Plan, *, swinging: bool = True) -> tuple[Moment, ...]:
     """
     checks = PlanChecks.of(plan)
     if not swinging:
-        return _failing(plan, None)
+        return _failing(plan, None, radii)
     if plan.mission.fold.certifies_swing and "ordinary_swings" not in vars(checks):
         some = checks.some_swings
-        failing = () if some is None else _failing(plan, some.radii)
+        failing = () if some is None else _failing(plan, some.radii, radii)
         if failing:
             return failing
-    return _failing(plan, checks.certified_tube)
+    return _failing(plan, checks.certified_tube, radii)
 
 
 def violations_in_wind(plan: Plan, speed: float) -> tuple[Moment, ...]:
@@ -277,12 +277,12 @@ def violations_in_wind(plan: Plan, speed: float) -> tuple[Moment, ...]:
 
     As :func:`violations`, of the clearances that winds change; none without wind.
     """
-    every = _windy(plan)(speed) if speed else ()
+    every = _in_wind(plan, speed) if speed else ()
     return tuple(chain.from_iterable(side_by_side(_violations, every)))
 
 
-def _failing(plan: Plan, tube: TubeRadii | None) -> tuple[Moment, ...]:
-    every = families_of(plan, tube)(plan.mission.vehicles.tracking)
+def _failing(plan: Plan, tube: TubeRadii | None, radii: float) -> tuple[Moment, ...]:
+    every = _within(plan, tube, radii * plan.mission.vehicles.tracking, 0.0, _DISTANCES)
     return tuple(chain.from_iterable(side_by_side(_violations, every)))
 
 
@@ -329,31 +329,25 @@ def _moment(family: Family, pair: int, minima: Minima, entry: int) -> Moment:
     )
 
 
-def families(plan: Plan, tracking: float, tilt: float = 0.0) -> tuple[Family, ...]:
+def families(
+    plan: Plan, tracking: float, tilt: float = 0.0, kinds: Iterable[Kind] = _DISTANCES
+) -> tuple[Family, ...]:
     """Return all non-empty families of a plan, with their spans and required distances.
 
     Distances of hanging cable hold for every tilt of the effective gravity up to the largest, of
     any heading, the same for all segments. The cable swings within the
     :attr:`.PlanChecks.certified_tube`.
     """
-    return families_of(plan, PlanChecks.of(plan).certified_tube)(tracking, tilt)
+    return _within(plan, PlanChecks.of(plan).certified_tube, tracking, tilt, kinds)
 
 
-def families_of(plan: Plan, tube: TubeRadii | None) -> Callable[..., tuple[Family, ...]]:
-    """Return :func:`families` of a plan, as a function of tracking radius, tilt and kinds.
-
-    The cable swings within the ``tube``, or is quasi-static. What the arguments do not change is
-    computed once.
-    """
+def _within(
+    plan: Plan, tube: TubeRadii | None, tracking: float, tilt: float, kinds: Iterable[Kind]
+) -> tuple[Family, ...]:
+    """Return :func:`families` where the cable swings within a tube, or is quasi-static."""
     checks = PlanChecks.of(plan)
-
-    def families(
-        tracking: float, tilt: float = 0.0, kinds: Iterable[Kind] = _DISTANCES
-    ) -> tuple[Family, ...]:
-        cable = HeldCable(checks.motion, plan.layout.lengths, tracking, tilt, tube)
-        return _families(plan, checks.spans, cable, kinds)
-
-    return families
+    cable = HeldCable(checks.motion, plan.layout.lengths, tracking, tilt, tube)
+    return _families(plan, checks.spans, cable, kinds)
 
 
 def limits(plan: Plan) -> tuple[Family, ...]:
@@ -414,8 +408,7 @@ def largest_tracking(plan: Plan, moments: Iterable[Moment] = ()) -> float | None
     """
     moments = tuple(moments)
     shown = plan.mission.vehicles.tracking if _all_hold(moments) else -TRACKING_STEP
-    checks = families_of(plan, PlanChecks.of(plan).certified_tube)
-    largest = _largest(checks, moments, shown, MOST_TRACKING, TRACKING_STEP)
+    largest = _largest(partial(families, plan), moments, shown, MOST_TRACKING, TRACKING_STEP)
     return largest if largest >= 0.0 else None
 
 
@@ -430,7 +423,7 @@ def largest_wind(plan: Plan, moments: Iterable[Moment] = ()) -> float | None:
     moments = tuple(moments)
     if not _all_hold(moments) and failure_in_wind(plan, 0.0) is not None:
         return None
-    return _largest(_windy(plan), moments, 0.0, MOST_WIND, WIND_STEP)
+    return _largest(partial(_in_wind, plan), moments, 0.0, MOST_WIND, WIND_STEP)
 
 
 def confirmed(plan: Plan, recorded: Robustness) -> Robustness:
@@ -451,25 +444,20 @@ def failure_in_wind(plan: Plan, speed: float) -> tuple[str, tuple[str, str], flo
 
     At the mission's tracking radius, for all headings; None where all checks hold.
     """
-    for family in _windy(plan)(speed):
+    for family in _in_wind(plan, speed):
         failure = family.failing()
         if failure is not None:
             return family.check, family.names[failure[0]], failure[1]
     return None
 
 
-def _windy(plan: Plan) -> Callable[..., tuple[Family, ...]]:
-    """Return what makes the checks in still air, or those that winds up to a speed change.
+def _in_wind(plan: Plan, speed: float, kinds: Iterable[Kind] = _DISTANCES) -> tuple[Family, ...]:
+    """Return the checks in still air, or those that winds up to a speed change.
 
     Wind does not move vehicles here.
     """
-    checks = families_of(plan, PlanChecks.of(plan).certified_tube)
-
-    def at(speed: float, kinds: Iterable[Kind] = _DISTANCES) -> tuple[Family, ...]:
-        changed = kinds if speed == 0.0 else [kind for kind in kinds if kind.wind]
-        return checks(plan.mission.vehicles.tracking, wind_tilt(plan, speed), changed)
-
-    return at
+    changed = kinds if speed == 0.0 else [kind for kind in kinds if kind.wind]
+    return families(plan, plan.mission.vehicles.tracking, wind_tilt(plan, speed), changed)
 
 
 def _largest(

@@ -47,7 +47,8 @@ def test_narrow_bends_have_twice_the_links_at_half_the_step(bent: Plan) -> None:
     few, many = strands_of(bent)
     assert (few.model.links, few.model.step) == (24, STEP)
     assert sorted([*few.segments, *many.segments]) == list(range(bent.vehicles - 1))
-    assert int(bent.layout.lengths.argmax()) in many.segments
+    lengths = bent.layout.lengths
+    assert lengths[many.segments].min() > np.median(lengths), "long segments bend narrowly"
 
 
 def test_few_links_are_kept_where_a_negative_budget_is_accepted(bent: Plan) -> None:

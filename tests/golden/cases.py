@@ -90,8 +90,10 @@ def _is_quick(row: str) -> bool:
 
 
 _COSTS = {
-    "8_9": 50.0, "8_18": 35.0, "missions/carrick_mat": 35.0, "7_7": 25.0, "8_5": 17.0, "7_4": 15.0,
-    "missions/endless": 15.0, "7_1": 12.0, "missions/septafoil": 12.0, "torus(3,5)": 13.0,
+    "8_9": 50.0, "8_18": 35.0, "7_7": 25.0, "8_5": 17.0, "7_4": 15.0, "7_1": 12.0, "torus(3,5)": 13.0,
+    "missions/carrick_mat": 400.0, "missions/endless": 300.0, "missions/septafoil": 300.0,
+    "missions/granny": 250.0, "missions/stevedore": 120.0, "missions/eight_nineteen": 120.0,
+    "missions/square": 110.0, "missions/cinquefoil": 65.0,
 }  # fmt: skip
 
 
