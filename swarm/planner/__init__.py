@@ -23,7 +23,7 @@ from swarm.certification.clearances import PlanChecks, Robustness, certified
 from swarm.mission import Mission
 from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower
 from swarm.planner.repairs import Kept, Unfinished, least_short, repair, slowed_for_budget
-from swarm.planner.shortening import aimed_wind, shorten
+from swarm.planner.shortening import Verdict, aimed_wind, shorten
 from swarm.planning import Plan
 from swarm.planning.candidates import Candidate, candidates
 from swarm.planning.searched_foldings import may_search
@@ -124,22 +124,22 @@ def _shortest(
     best, least_rate = before, 1.0 if before is None else _slowest(before.plan)
     in_wind = False
 
-    def accepted(shorter: Plan) -> bool:
+    def accepted(shorter: Plan) -> Verdict:
         nonlocal best, in_wind
         longer = best is not None and shorter.flight_duration >= best.plan.flight_duration
         if longer and (in_wind or best is before):
-            return False
+            return "refused"
         _measure(shorter, None)
         if _slowest(shorter) < least_rate:
-            return False
+            return "refused"
         again = PlanningResult(shorter, certify(shorter))
         if not (again.certificate.cleared and _as_safe(again, before)):
-            return False
+            return "refused"
         tilt = wind_tilt(shorter, aimed_wind(shorter.mission))
         holds = certified(shorter, tracking=shorter.mission.vehicles.tracking, tilt=tilt)
         if holds or best is before:
             best, in_wind = again, holds
-        return holds
+        return "enough" if holds else "cleared"
 
     shorten(start, accepted, progress or (lambda _stage, _share: None))
     if best is None or best is before:

@@ -16,7 +16,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -60,6 +60,8 @@ from swarm.threads import both
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, float], None]
+Verdict = Literal["refused", "cleared", "enough"]
+"""Of a plan with a shorter fold: ``enough`` also holds in wind."""
 
 _SAMPLE = 0.05
 """Seconds between the states of a fold."""
@@ -154,8 +156,9 @@ _PERIOD, _LEAST_SWING, _LEAST_GAIN, _LARGEST_GAIN = 1.4, 0.15, 0.7, 8.0
 """Seconds in which strays and oscillators are compared, about a period; share of the limit that an
 oscillator counts as swinging at least; and the range of its correction."""
 
-_ROUNDS = 8
-"""Largest number of rounds: the square knot needs five."""
+_ROUNDS, _FURTHER = 8, 2
+"""Largest numbers of rounds (the square knot needs five), and of those after a first cleared plan,
+which may not hold in wind."""
 
 _MOST_UNKNOWNS = 10_000
 """Unknowns of a problem: a step of 9,177 (the Carrick mat) takes 3 s of a processor."""
@@ -207,11 +210,11 @@ class Shortening:
         return self.problem.shares[::LOSS_EVERY]
 
 
-def shorten(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) -> None:
+def shorten(plan: Plan, accepted: Callable[[Plan], Verdict], progress: Progress) -> None:
     """Look for the shortest fold near that of a plan, from a line that may be elsewhere.
 
     That fold need not keep its limits: it has the right topology. ``accepted`` is called with
-    plans, and tells whether one keeps all that is required. ``progress`` is called with the name of
+    plans, and tells whether one keeps what is required. ``progress`` is called with the name of
     the stage and the share of it that is done.
 
     Raises :class:`swarm.errors.Refused` for more vehicles and a longer fold than can be solved.
@@ -221,7 +224,8 @@ def shorten(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) ->
     fold, frozen = _slow_enough(short, fold)
     wanted = Wanted.nothing(frozen.needs)
     room = np.full(len(short.loss_shares), _ROOM_AFTER_LOSS)
-    for number in range(_ROUNDS):
+    number, last = 0, _ROUNDS - 1
+    while number <= last:
         weight = _LATER_WEIGHT if number else _FIRST_WEIGHT
         centred = _centred(
             short, fold, frozen, (wanted, room), weight, partial(_show, progress, number)
@@ -232,11 +236,13 @@ def shorten(plan: Plan, accepted: Callable[[Plan], bool], progress: Progress) ->
         draft = short.plan_with(fold)
         if PlanChecks.of(draft).spans.problems:
             break
-        cleared, missed = accepted(draft), _missed_after_losses(short, draft)
-        if cleared and not missed.any():
+        verdict, missed = accepted(draft), _missed_after_losses(short, draft)
+        if verdict == "enough" and not missed.any():
             break
+        if verdict != "refused":
+            last = min(last, number + _FURTHER)
         wanted, room = _wanted(short, draft, frozen.needs, wanted), room + _MORE_AFTER_LOSS * missed
-        short = short.swinging_less(fold)
+        short, number = short.swinging_less(fold), number + 1
     progress("shortening the fold", 1.0)
 
 
