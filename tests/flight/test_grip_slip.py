@@ -102,6 +102,22 @@ def test_delays_that_grow_are_no_pull(measured: bool) -> None:
     assert seen == ({None} if measured else {None, 0})
 
 
+@pytest.mark.parametrize("gap", [0.25, 0.75])
+def test_what_a_gap_hides_is_no_pull(gap: float) -> None:
+    """Two vehicles speed up away from each other within 0.75 s, in which nothing may be read."""
+    grips = np.array([[3.3 * k, 0.0, 5.0] for k in range(5)])
+    detector = GripSlipDetector(PLAN.plan, Latch(), enabled=True)
+    outwards = np.array([-1.0, 1.0, 0.0, 0.0, 0.0])
+    for now in 0.25 * np.arange(28):
+        at = 3.0 if 3.0 <= now < 3.0 + gap else now
+        velocity, attitude = np.zeros((2, 5, 3))
+        phase = np.pi * np.clip(at - 3.0, 0.0, 0.75) / 0.75
+        velocity[:, 0] = outwards * 0.8 * (1.0 - np.cos(phase)) * 0.75 / np.pi
+        attitude[:, 2] = np.pi / 2.0  # heading east
+        attitude[:, 1] = -np.arctan(outwards * 0.8 * np.sin(phase) / STANDARD_GRAVITY)
+        assert detector.evaluate(now, np.full(5, at), attitude, velocity, grips) is None
+
+
 def test_a_clock_that_slows_and_speeds_up_needs_a_longer_match():
     """Its changes excite the cable, and a swing matches a slip for half a period at most."""
     varied = [0.33, 0.08, 0.0, 0.04, 0.12, 0.21, 0.29, 0.32, 0.07, 0.0, 0.06, 0.14]
