@@ -240,7 +240,7 @@ def test_a_shorter_fold_keeps_inside_fence_and_ceiling_beside_obstacles_and_in_w
 
 @pytest.mark.full
 def test_no_plan_is_tried_where_the_knot_itself_is_above_the_ceiling() -> None:
-    assert optimised_with("workspace.ceiling=10")[1] == []
+    assert optimised_with("workspace.ceiling=6")[1] == []
 
 
 @pytest.mark.full

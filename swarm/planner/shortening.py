@@ -93,8 +93,9 @@ _NEAR_KNOT = 0.5
 """Metres from its place in the knot up to which a vehicle counts as near it: a need of strands may
 be missed by as much as vehicles are farther away."""
 
-_LEAST_ALLOWED = 0.25
-"""Least share of the limit of the swing to which it is lowered where the knot keeps too little."""
+_MOST_LESS, _LEAST_ALLOWED = 0.5, 0.25
+"""Shares of the limit of the swing: the most by which a round lowers it where the knot keeps too
+little (from 1 to 0.25 at once, steps gave up clearances for it), and the least that remains."""
 
 _RADII = 1.02
 """Tracking radii for which clearances are asked to hold: for 1.00 they hold by chance."""
@@ -567,6 +568,7 @@ def _wanted(short: Shortening, plan: Plan, needs: Needs, before: Wanted) -> Want
     most = _most(short, plan.motion.at(at)[0])
     missed = np.maximum(strands - most, 0.0)
     less = 0.5 * np.maximum(missed.max(axis=1), missed.max(axis=2))
+    less = np.minimum(less, _MOST_LESS * short.problem.limits.swing)
     # what swings at a moment has begun to in the period before
     wide = 2 * round(_PERIOD / (at[1] - at[0])) + 1
     less = scipy.ndimage.maximum_filter1d(less, wide, axis=0, origin=-(wide // 2), mode="constant")
