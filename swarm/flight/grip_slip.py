@@ -106,7 +106,7 @@ class GripSlipDetector:
             return []
         at = seen.measured.at
         grips = seen.position - (seen.now - at)[:, None] * seen.velocity
-        k = self.evaluate(seen.now, at, seen.attitude, seen.velocity, grips)
+        k = self.evaluate(at, seen.attitude, seen.velocity, grips)
         if k is None:
             return []
         words = f"{seen.names[k]} leans as after a slip of the cable"
@@ -126,9 +126,7 @@ class GripSlipDetector:
         self._bias = None
         self._score = 0
 
-    def evaluate(
-        self, now: float, at: Floats, attitude: Floats, velocity: Floats, grips: Floats
-    ) -> int | None:
+    def evaluate(self, at: Floats, attitude: Floats, velocity: Floats, grips: Floats) -> int | None:
         """Return the vehicle whose gripper has lost the cable; None where none has.
 
         ``at`` (n,) are the times at which ``velocity`` and ``grips`` (n, 3), mission ENU, were
@@ -141,13 +139,13 @@ class GripSlipDetector:
             self.reset()
             return None
         if self._samples and float((at - self._samples[-1].at[:, 0]).max()) > 2.0 * INTERVAL:
-            # nobody knows how a force has changed in a gap: by 1.5 N and back, it is 0.5 N of error
+            # a force that changes by 1.5 N and back in a gap is not seen: an error of 0.5 N
             self._samples.clear()
             self._score = 0
-        self._samples.append(_Sample(now, at[:, None].copy(), velocity[:, :2].copy(), force))
+        self._samples.append(_Sample(at[:, None].copy(), velocity[:, :2].copy(), force))
         if len(self._samples) <= WINDOW:
             return None
-        _, times, speeds, forces = zip(*self._samples, strict=True)
+        times, speeds, forces = zip(*self._samples, strict=True)
         time = times[-1] - times[0]
         # Without the first sample, a force that changes by 0.6 N in 0.25 s would lead by 0.08 N;
         # as of the time of reading, one of 1.5 N by 0.45 N where delays grow by 0.3 s.
@@ -228,7 +226,6 @@ class _Sample(NamedTuple):
     """What vehicles showed at a time of reading: times (n, 1) of measurement, velocities and forces
     (n, 2)."""
 
-    now: float
     at: Floats
     velocity: Floats
     force: Floats

@@ -699,8 +699,12 @@ class Problem:
         step = duration / (s - 1)
         count = s + math.ceil(SETTLING / step)
         gain, square, damping = (
-            held_on(each[:, i], count)
-            for each in (frozen.gains / frozen.allowed, frozen.squares, frozen.damping)
+            held_on(each, count)
+            for each in (
+                frozen.gains[:, i] / frozen.allowed[:, i],
+                frozen.squares[:, i],
+                frozen.damping[:, i],
+            )
         )
         begins = _PER_KNOT * np.maximum(np.arange(self.count) - DEGREE, 0)
         first, second = (self.basis.values[d] / duration**d for d in (1, 2))

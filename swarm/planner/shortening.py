@@ -225,8 +225,8 @@ def shorten(plan: Plan, accepted: Callable[[Plan], Verdict], progress: Progress)
     fold, frozen = _slow_enough(short, fold)
     wanted = Wanted.nothing(frozen.needs)
     room = np.full(len(short.loss_shares), _ROOM_AFTER_LOSS)
-    number, last = 0, _ROUNDS - 1
-    while number <= last:
+    last = _ROUNDS - 1
+    for number in range(_ROUNDS):
         weight = _LATER_WEIGHT if number else _FIRST_WEIGHT
         centred = _centred(
             short, fold, frozen, (wanted, room), weight, partial(_show, progress, number)
@@ -242,8 +242,10 @@ def shorten(plan: Plan, accepted: Callable[[Plan], Verdict], progress: Progress)
             break
         if verdict != "refused":
             last = min(last, number + _FURTHER)
+        if number == last:
+            break
         wanted, room = _wanted(short, draft, frozen.needs, wanted), room + _MORE_AFTER_LOSS * missed
-        short, number = short.swinging_less(fold), number + 1
+        short = short.swinging_less(fold)
     progress("shortening the fold", 1.0)
 
 
@@ -549,8 +551,8 @@ def _wanted(short: Shortening, plan: Plan, needs: Needs, before: Wanted) -> Want
     """Return what the certificate asks for, beyond ``needs`` that are too small and ``before``."""
     fold = plan.phase("fold")
     at = short.problem.shares * fold.duration + fold.start
-    strands, bodies, aside, _ = Wanted.nothing(needs)
-    strands = np.maximum(strands, _needed_for_budget(plan, at))
+    _, bodies, aside, _ = Wanted.nothing(needs)
+    strands = _needed_for_budget(plan, at)
     segments = {segment_name(k): k for k in range(plan.vehicles - 1)}
     vehicles = {vehicle_name(k): k for k in range(plan.vehicles)}
     failing = violations(plan, radii=_RADII)

@@ -66,7 +66,7 @@ def fit(detector: GripSlipDetector, vehicles: int, drag: float) -> None:
         velocity = apart * np.sign(np.sin(0.05 * k)) * (k > 9)
         attitude[:, 1] = -np.arctan(drag * velocity[:, 1] / STANDARD_GRAVITY)
         now = 1000.0 + 0.25 * k
-        detector.evaluate(now, np.full(len(grips), now), attitude, velocity, grips)
+        detector.evaluate(np.full(len(grips), now), attitude, velocity, grips)
 
 
 @pytest.mark.parametrize("drag", [0.0, 0.2, 0.55, 3.0])
@@ -92,7 +92,7 @@ def test_nan_does_not_reach_the_fit(wrong: str) -> None:
     bad[0, 0] = np.pi / 2.0 if wrong == "attitude" else np.nan
     for k in range(60):
         sample = {**values, wrong: bad} if k == 20 else values
-        detector.evaluate(0.25 * k, np.full(3, 0.25 * k), *sample.values())
+        detector.evaluate(np.full(3, 0.25 * k), *sample.values())
         assert np.isfinite(detector.drag)
 
 

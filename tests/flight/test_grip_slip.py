@@ -78,7 +78,7 @@ def test_what_is_always_off_is_usual():
     attitude = np.column_stack([rng.normal(0.0, 0.03, (5, 2)), rng.uniform(-3, 3, 5)])
     for k in range(80):
         now = 0.25 * k
-        assert detector.evaluate(now, np.full(5, now), attitude, np.zeros((5, 3)), grips) is None
+        assert detector.evaluate(np.full(5, now), attitude, np.zeros((5, 3)), grips) is None
 
 
 @pytest.mark.parametrize("measured", [True, False])
@@ -98,7 +98,7 @@ def test_delays_that_grow_are_no_pull(measured: bool) -> None:
         attitude[:, 2] = np.pi / 2.0  # heading east
         attitude[:, 1] = -np.arctan(inwards * min(moving / 1.5, 1.0) / STANDARD_GRAVITY)
         times = at if measured else np.full(5, now)
-        seen.add(detector.evaluate(now, times, attitude, velocity, grips))
+        seen.add(detector.evaluate(times, attitude, velocity, grips))
     assert seen == ({None} if measured else {None, 0})
 
 
@@ -115,7 +115,7 @@ def test_what_a_gap_hides_is_no_pull(gap: float) -> None:
         velocity[:, 0] = outwards * 0.8 * (1.0 - np.cos(phase)) * 0.75 / np.pi
         attitude[:, 2] = np.pi / 2.0  # heading east
         attitude[:, 1] = -np.arctan(outwards * 0.8 * np.sin(phase) / STANDARD_GRAVITY)
-        assert detector.evaluate(now, np.full(5, at), attitude, velocity, grips) is None
+        assert detector.evaluate(np.full(5, at), attitude, velocity, grips) is None
 
 
 def test_a_clock_that_slows_and_speeds_up_needs_a_longer_match():
