@@ -68,7 +68,10 @@ def parts_of(problem: Problem, fold: Fold, frozen: Frozen) -> Floats:
     return np.concatenate([[shown.cost], bordered.gradient])
 
 
-TERMS = "clearances", "after losses", "speed and acceleration", "swing", "sinking", "walls", "all"
+TERMS = (
+    "clearances", "after losses", "speed and acceleration", "swing", "sinking", "walls", "all",
+    "given places",
+)  # fmt: skip
 
 WALLS = parse_mission(
     """
@@ -94,6 +97,9 @@ workspace:
 def test_derivatives_of_each_term_are_those_of_its_values(term: str) -> None:
     short, fold, frozen = begun()
     problem = short.problem
+    if term == "given places":
+        given = problem.first(fold.pose)
+        problem = replace(problem, given=given, before=np.empty((0, 4)))
     if term in {"walls", "all"}:
         walls = shortening._walls(WALLS, 0.1, 0.1)
         problem = replace(problem, team=problem.team._replace(walls=walls))
@@ -102,7 +108,7 @@ def test_derivatives_of_each_term_are_those_of_its_values(term: str) -> None:
         frozen = replace(frozen, needs=frozen.needs._replace(inside=needs.inside))
     rng = np.random.default_rng(4)
     fold = replace(fold, free=fold.free + rng.normal(scale=0.005, size=fold.free.shape))
-    if term != "all":
+    if term not in {"all", "given places"}:
         limits = problem.limits
         far = replace(limits, speed=1e6, acceleration=1e6, swing=1e6, sinking=1e6)
         kept = {
@@ -113,7 +119,7 @@ def test_derivatives_of_each_term_are_those_of_its_values(term: str) -> None:
             "sinking": replace(far, sinking=0.1 * limits.sinking),
         }
         problem = replace(problem, limits=kept.get(term, far))
-    if term not in {"after losses", "all"}:
+    if term not in {"after losses", "all", "given places"}:
         frozen = replace(frozen, coasting=None)
     before = parts_of(problem, fold, frozen)
     seen = 0

@@ -38,11 +38,17 @@ from swarm.cli.inputs import (
     confirmed,
     refuse_option_conflicts,
 )
-from swarm.cli.planning import load_source, load_training, prepare_flight, require_cleared
+from swarm.cli.planning import (
+    load_source,
+    load_training,
+    prepare_flight,
+    require_cleared,
+    rest_of_fold,
+)
 from swarm.console.launch import parse_address, require_usable
-from swarm.errors import InputError, Problem, Refused
+from swarm.errors import InputError, Problem, Refused, SwarmError
 from swarm.flight.bench_flight import RAISED, raised
-from swarm.flight.flight_plan import Audit, ResumedFlight, confirmed_basis
+from swarm.flight.flight_plan import Audit, Basis, ResumedFlight, confirmed_basis
 from swarm.flight.responding import COUNTDOWN
 from swarm.flight.result import FlightResult
 from swarm.flight.setup import LOOSE_ERROR
@@ -50,7 +56,7 @@ from swarm.flight.tlog import Then, left_off
 from swarm.flight.training import require_emulated
 from swarm.front.files import load_fleet
 from swarm.ground.flight_process import FlightRequest, fly_in_process
-from swarm.ground.fly import FlightCallbacks, FlyOptions, Unattended
+from swarm.ground.fly import FlightCallbacks, FlyOptions, Unattended, find_team
 from swarm.ground.ladder import require_steps
 from swarm.ground.operator import parse_group
 from swarm.ground.record import control_socket, new_record_folder
@@ -101,13 +107,12 @@ def resume_flight(
         f"{plan.vehicles} vehicles.",
         highlight=False,
     )
-    flight = FlightRequest(
-        flight_plan,
-        fleet,
-        folder,
-        replace(options, no_cable=not basis.cable, control=control_socket(folder), left=moment),
+    options = replace(
+        options, no_cable=not basis.cable, control=control_socket(folder), left=moment
     )
     prepare_flight()
+    flight = _from_here(FlightRequest(flight_plan, fleet, folder, options), basis, console)
+    plan = flight.flight_plan.plan
     with (
         displays(plan, folder, view, console, options.share) as shown,
         opened_console(folder, console_address, certificate, console),
@@ -120,7 +125,8 @@ def resume_flight(
             low_priority=True,
         )
     # What the report states as certified is shown again: now there is time for it.
-    again = certify_again(plan if basis.cable else without_cable(plan), assessment.robustness)
+    robustness = flight.flight_plan.assessment.robustness
+    again = certify_again(plan if basis.cable else without_cable(plan), robustness)
     basis = confirmed_basis(plan, result.basis)
     kept = replace(result.adherence, certified=basis.max_tracking_error)
     result = replace(result, basis=basis, adherence=kept)
@@ -134,6 +140,35 @@ def resume_flight(
         as_json=as_json,
         share=options.share,
     )
+
+
+def _from_here(flight: FlightRequest, basis: Basis, console: Console) -> FlightRequest:
+    """Return a flight that is resumed; from where its vehicles are, if they are beside its fold.
+
+    Where they are farther from their places than is certified, the rest of the fold is planned and
+    certified from there. Where that is refused, the flight is as it was, and says what it does.
+    """
+    plan, options = flight.flight_plan.plan, flight.options
+    if options.left is None or not options.left.gripped or options.then not in {"hold", "continue"}:
+        return flight
+    found = find_team(flight.flight_plan, flight.fleet, options)
+    beside = found.off > (basis.max_tracking_error or 0.0)
+    if not beside or plan.phase_at(found.time).name != "fold":
+        return flight
+    place = f"up to {found.off:.2f} m beside its places at {found.time:.1f} s of the plan"
+    try:
+        rest = rest_of_fold(plan, found)
+    except SwarmError as error:
+        console.print(f"The team is {place}; the fold is not planned anew:", highlight=False)
+        console.print(str(error), style="dim", highlight=False, markup=False)
+        return flight
+    console.print(
+        f"The team is {place}. The rest of the fold from there takes "
+        f"{rest.plan.phase('fold').duration:.1f} s, and is certified.",
+        highlight=False,
+    )
+    left = replace(options.left, mission_time=0.0, gate=0)
+    return replace(flight, flight_plan=rest, options=replace(options, left=left))
 
 
 _FLIGHTS = Path("flights")
@@ -263,7 +298,8 @@ class Options:
     type=click.Choice(get_args(Then)),
     default="hold",
     show_default=True,
-    help="With --resume: action when all vehicles are found.",
+    help="With --resume: action when all vehicles are found. For hold and continue, a team beside "
+    "its places in the fold gets a new plan from there, certified.",
 )
 @click.option(
     "--unattended",

@@ -10,13 +10,16 @@ import click
 from rich.console import Console
 
 from swarm import planner, precompile
+from swarm.certification.certificate import CertifiedPlan
 from swarm.cli.inputs import JSON, MISSION, REPLAN, SET, VERBOSE, progress_bar
 from swarm.errors import InputError, Problem, Refused
+from swarm.flight.state import Found
 from swarm.front import plan_cache
 from swarm.front.files import is_plan_file, load_mission
 from swarm.front.plan_files import load_certified
 from swarm.mission import Mission
 from swarm.mission.fleet import Fleet, mission_for
+from swarm.planning import Plan
 from swarm.reports.plan import plan_verdict, print_plan_summary
 from swarm.reports.result import print_verdict
 
@@ -158,6 +161,13 @@ def plan_mission(
     words = f"Planned before ({computed.astimezone():%Y-%m-%d %H:%M}); --replan plans again"
     console.print(words, style="dim", highlight=False, soft_wrap=True)
     return planned
+
+
+def rest_of_fold(plan: Plan, found: Found) -> CertifiedPlan:
+    """Return the cleared plan of the rest of a fold; see :func:`swarm.planner.rest_of_fold`."""
+    with progress_bar(Console(stderr=True)) as progress:
+        precompile.prepare((*precompile.PLANNING, *precompile.OPTIMISATION), progress)
+        return planner.rest_of_fold(plan, found.time, found.places, progress).certified()
 
 
 def prepare_flight() -> None:

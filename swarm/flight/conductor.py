@@ -45,6 +45,7 @@ from swarm.flight.stages import Stage, Trigger
 from swarm.flight.state import (
     LONGEST_TICK,
     FlightState,
+    Found,
     Placement,
     Resumption,
     Roster,
@@ -56,6 +57,7 @@ from swarm.flight.trace import Trace
 from swarm.mavlink.vehicle import Vehicle
 from swarm.mission.fleet import Fleet
 from swarm.planning import Phase
+from swarm.planning.assembly import begins_aloft
 from swarm.planning.clock_limits import clock_limits
 
 
@@ -73,7 +75,8 @@ def initial_state(setup: Setup, resumption: Resumption) -> FlightState:
     placement = Placement(None, np.zeros(n), np.full((n, 3), np.nan))
     if ending is not None:
         flying = [team.vehicles[system] for system in ending.known.systems]
-        placement = Placement(ending.known.frames, ending.known.yaw, starts)
+        ground = starts * [1.0, 1.0, 0.0] if begins_aloft(plan) else starts
+        placement = Placement(ending.known.frames, ending.known.yaw, ground)
     roster = Roster.of(flying)
     flight = FlightState(
         setup=setup,
@@ -119,12 +122,12 @@ class Conductor:
         options: FlightOptions = FlightOptions(),  # noqa: B008 - frozen
         *,
         left: LeftOff | None = None,
-        then: Then = "hold",
+        then: Then | None = "hold",
     ) -> None:
         """Raise :class:`Refused` where the fleet is too small or the plan must not be flown.
 
         ``left`` is where a flight broke off that is to be resumed, ``then`` the operator's order
-        for after all vehicles have been found.
+        for after all vehicles have been found. With None the flight ends there: see ``found``.
         """
         setup = setup_of(flight_plan, fleet, options)
         self.state = initial_state(setup, Resumption(left, then))
@@ -170,6 +173,11 @@ class Conductor:
     def holding(self) -> str | None:
         """Why the clock is held; None while it is not."""
         return self.state.holds.message
+
+    @property
+    def found(self) -> Found | None:
+        """Where the team of an interrupted flight was found; None before."""
+        return self.state.resumption.found
 
     @property
     def finished(self) -> Outcome | None:

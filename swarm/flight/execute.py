@@ -20,7 +20,7 @@ from swarm.flight.preparation import Prepared, readiness, request_streams
 from swarm.flight.responding import request, respond
 from swarm.flight.result import Outcome
 from swarm.flight.stages import Stage, Trigger
-from swarm.flight.state import FlightState
+from swarm.flight.state import FlightState, Found
 from swarm.flight.streams import STREAM_BEFORE_OFFBOARD, continue_rejoining, rejoin
 from swarm.flight.tlog import LeftOff
 from swarm.mavlink.vehicle import Vehicle
@@ -275,11 +275,15 @@ def find_team(flight: FlightState) -> None:
         names = flight.names(disarmed)
         flight.finish("failed", f"no longer flying: {names}; the others land by their failsafes")
         return
-    time, off = _place_in_plan(flight, ending)
-    _go_on(flight, ending, time)
-    flight.report(
-        "resume", f"found the team at {time:.1f} s of the plan, up to {off:.2f} m from it"
-    )
+    found = _place_in_plan(flight, ending)
+    flight.resumption.found = found
+    off = found.off
+    words = f"found the team at {found.time:.1f} s of the plan, up to {off:.2f} m from it"
+    if flight.resumption.then is None:
+        flight.finish("done", words)
+        return
+    _go_on(flight, ending, found.time)
+    flight.report("resume", words)
     landing = any(vehicle.in_mode("land") for vehicle in flight.roster.vehicles)
     if landing or off > LARGEST:
         why = "vehicles already land" if landing else f"a vehicle is {off:.1f} m from its place"
@@ -293,7 +297,7 @@ def find_team(flight: FlightState) -> None:
 def follow_order(flight: FlightState) -> None:
     """Do what the operator ordered in advance, once all vehicles follow again."""
     then, streams = flight.resumption.then, flight.streams
-    if then == "hold" or streams.rejoining or not streams.active.all():
+    if then is None or then == "hold" or streams.rejoining or not streams.active.all():
         return
     flight.resumption.then = "hold"
     request(flight, "resume" if then == "continue" else then)
@@ -320,8 +324,8 @@ def _go_on(flight: FlightState, ending: LeftOff, time: float) -> None:
     flight.change_stage(Trigger.TEAM_FOUND)
 
 
-def _place_in_plan(flight: FlightState, ending: LeftOff) -> tuple[float, float]:
-    """Return the mission time around the last one that fits best, and the largest distance."""
+def _place_in_plan(flight: FlightState, ending: LeftOff) -> Found:
+    """Return where the team is, by the mission time around the last one that fits best."""
     gates, plan = flight.setup.gates, flight.setup.plan
     low = gates[ending.gate - 1].time if ending.gate else 0.0
     high = gates[ending.gate].time if ending.gate < len(gates) else plan.duration
@@ -333,7 +337,7 @@ def _place_in_plan(flight: FlightState, ending: LeftOff) -> tuple[float, float]:
     apart = plan.motion.at(times)[0] - flight.observation.position
     off = np.linalg.norm(apart, axis=2).max(axis=1)
     best = int(np.argmin(off))
-    return float(times[best]), float(off[best])
+    return Found(float(times[best]), flight.observation.position.copy(), float(off[best]))
 
 
 def tick(flight: FlightState) -> None:

@@ -260,12 +260,27 @@ class Ending:
     outcome: Outcome | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Where an interrupted team is: the mission ``time`` whose places are nearest, its ``places``
+    (n, 3), ENU metres of the plan, and the largest distance ``off`` its planned ones."""
+
+    time: float
+    places: Floats
+    off: float
+
+
 @dataclass
 class Resumption:
-    """Where an interrupted flight broke off, and the operator's order for after it is resumed."""
+    """Where an interrupted flight broke off, and the operator's order for after it is resumed.
+
+    ``then`` is None for a team that is only searched: nothing is commanded. ``found`` is where it
+    was found.
+    """
 
     left_off: LeftOff | None = None
-    then: Then = "hold"
+    then: Then | None = "hold"
+    found: Found | None = None
 
 
 @dataclass(eq=False)

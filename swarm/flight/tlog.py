@@ -36,6 +36,7 @@ from swarm.mavlink.vehicle import HANDLED_MESSAGES, Vehicle
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan
 from swarm.planning.archive import READ_ERRORS
+from swarm.planning.assembly import begins_aloft
 from swarm.tables import stamp_unit
 
 Floats = npt.NDArray[np.float64]
@@ -439,5 +440,5 @@ def left_off(tlog: bytes, plan: Plan, fleet: Fleet, known: KnownFrames | None = 
         known=flown.known,
         mission_time=time,
         gate=len(passed),
-        gripped="gripped" in done and "released" not in done,
+        gripped=(begins_aloft(plan) or "gripped" in done) and "released" not in done,
     )

@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 
 from swarm import precompile
-from swarm.errors import InputError, Problem, Refused, SwarmError
+from swarm.errors import InputError, Problem, Refused, SwarmError, VehicleError
 from swarm.flight.bodies import pose_rows
 from swarm.flight.conductor import Conductor
 from swarm.flight.fleet_listener import position_quality
@@ -37,6 +37,7 @@ from swarm.flight.responding import COUNTDOWN
 from swarm.flight.result import FlightResult, adherence, skipped_words
 from swarm.flight.setup import FlightOptions
 from swarm.flight.snapshot import Checked, Event, Snapshot
+from swarm.flight.state import Found
 from swarm.flight.tlog import ClockEncoder, LeftOff, Then
 from swarm.flight.trace import Trace
 from swarm.flight.training import Training, require_emulated
@@ -550,6 +551,27 @@ def fly(
         )
         record.after(result)
         return result
+
+
+def find_team(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions) -> Found:
+    """Return where the team of an interrupted flight is, ``options.left``; nothing is commanded.
+
+    Raises :class:`swarm.errors.VehicleError` where it is not found, or no longer flies.
+    """
+    setup = FlightOptions(no_cable=options.no_cable)
+    conductor = Conductor(flight_plan, fleet, setup, left=options.left, then=None)
+    with ExitStack() as resources:
+        links, borrowed = resources.enter_context(links_of(fleet, options.mocap))
+        conductor.team.signing = resources.enter_context(signing_with(fleet.signing_key))
+        clock = _followed_clock(None, options, resources)
+        copies = [borrowed] if borrowed is not None else []
+        Loop(
+            conductor, links, None, options.speed, lambda _: None, None, copies,
+            feeds=copies, world=clock,
+        ).run()  # fmt: skip
+    if conductor.found is None or conductor.finished is None:
+        raise VehicleError(conductor.finished.explanation if conductor.finished else "not found")
+    return conductor.found
 
 
 def _refuse_unflyable(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions) -> None:

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 from itertools import chain, islice
 
 import numpy as np
+import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from swarm.certification.air import LEAST_SINKING, deepest_sinking, wind_tilt
 from swarm.certification.assessment import Assessment
-from swarm.certification.budget import least_remaining
+from swarm.certification.budget import least_remaining, smallest_budgets
 from swarm.certification.certificate import (
     Certificate,
     CertifiedPlan,
@@ -19,17 +20,27 @@ from swarm.certification.certificate import (
     certify_robustness,
     with_recorded_robustness,
 )
-from swarm.certification.clearances import PlanChecks, Robustness, certified
+from swarm.certification.clearances import PlanChecks, Robustness, certified, violations
+from swarm.errors import Refused
 from swarm.mission import Mission
 from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower
 from swarm.planner.repairs import Kept, Unfinished, least_short, repair, slowed_for_budget
-from swarm.planner.shortening import Verdict, aimed_wind, shorten
+from swarm.planner.rest_of_fold import rest_of_fold_from
+from swarm.planner.shortening import (
+    HURRIED,
+    THOROUGH,
+    Effort,
+    Verdict,
+    aimed_wind,
+    shorten,
+)
 from swarm.planning import Plan
 from swarm.planning.candidates import Candidate, candidates
 from swarm.planning.searched_foldings import may_search
 from swarm.precompile import OPTIMISATION, SEARCH
 from swarm.threads import both
 
+Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 _ATTEMPTS, _ATTEMPTS_SEARCHED = 96, 32
@@ -92,6 +103,25 @@ def plan(
     return result
 
 
+def rest_of_fold(
+    plan: Plan, time: float, places: Floats, progress: Progress | None = None
+) -> PlanningResult:
+    """Return a cleared plan of the rest of a fold, for vehicles at rest that hold the cable.
+
+    They are at ``places`` (n, 3), ENU metres, about where they are planned at a ``time`` of the
+    fold. The new plan begins there, at time 0. e* and w* are left out.
+
+    Raises :class:`swarm.errors.Refused` where no such plan is cleared, or
+    :func:`.rest_of_fold_from` does.
+    """
+    with one_thread():
+        start = rest_of_fold_from(plan, time, places)
+        result = _shortest(start, None, progress, HURRIED)
+    if result is None:
+        raise Refused("no way from here to the knot was cleared")
+    return result
+
+
 def _optimised(proposals: Iterator[Candidate], progress: Progress | None) -> PlanningResult:
     """Return the plan with the shortest fold that one optimisation finds.
 
@@ -102,7 +132,7 @@ def _optimised(proposals: Iterator[Candidate], progress: Progress | None) -> Pla
     for candidate in islice(proposals, _STARTS):
         tried.append(candidate)
         start = replace(candidate.plan, notes=(*candidate.plan.notes, *candidate.notes))
-        shortest = _shortest(start, None, progress) if candidate.folding else None
+        shortest = _shortest(start, None, progress, THOROUGH) if candidate.folding else None
         if shortest is not None:
             return shortest
     result = _cleared_or_first(chain(tried, proposals), progress)
@@ -110,16 +140,17 @@ def _optimised(proposals: Iterator[Candidate], progress: Progress | None) -> Pla
         return result
     note = "no shorter fold was cleared that is as safe in all that the certificate states"
     unchanged = replace(result, plan=replace(result.plan, notes=(*result.plan.notes, note)))
-    return _shortest(result.plan, result, progress) or unchanged
+    return _shortest(result.plan, result, progress, THOROUGH) or unchanged
 
 
 def _shortest(
-    start: Plan, before: PlanningResult | None, progress: Progress | None
+    start: Plan, before: PlanningResult | None, progress: Progress | None, effort: Effort
 ) -> PlanningResult | None:
     """Return the cleared plan with the shortest fold that is found from a ``start``.
 
     It is as safe as the one ``before`` in all that the certificate states; where there is none,
-    lost setpoints never slow the clock. Where any does, it holds in :func:`.aimed_wind`.
+    lost setpoints never slow the clock. Where any does, it holds in :func:`.aimed_wind`; a hurried
+    search ends with the first that is cleared.
     """
     best, least_rate = before, 1.0 if before is None else _slowest(before.plan)
     in_wind = False
@@ -129,6 +160,8 @@ def _shortest(
         longer = best is not None and shorter.flight_duration >= best.plan.flight_duration
         if longer and (in_wind or best is before):
             return "refused"
+        if violations(shorter) or _remaining(shorter) < _least_accepted(shorter, before):
+            return "refused"  # as the certificate would, in a third of its time
         _measure(shorter, None)
         if _slowest(shorter) < least_rate:
             return "refused"
@@ -136,12 +169,14 @@ def _shortest(
         if not (again.certificate.cleared and _as_safe(again, before)):
             return "refused"
         tilt = wind_tilt(shorter, aimed_wind(shorter.mission))
-        holds = certified(shorter, tracking=shorter.mission.vehicles.tracking, tilt=tilt)
+        holds = effort is HURRIED or certified(
+            shorter, tracking=shorter.mission.vehicles.tracking, tilt=tilt
+        )
         if holds or best is before:
             best, in_wind = again, holds
         return "enough" if holds else "cleared"
 
-    shorten(start, accepted, progress or (lambda _stage, _share: None))
+    shorten(start, accepted, progress or (lambda _stage, _share: None), effort)
     if best is None or best is before:
         return None
     first, shortest = (plan.phase("fold").duration for plan in (start, best.plan))
@@ -160,18 +195,27 @@ def _as_safe(again: PlanningResult, before: PlanningResult | None) -> bool:
     """
     plan, tracking = again.plan, again.plan.mission.vehicles.tracking
     sinking, warned = max(tracking, LEAST_SINKING), _warned(again) - {"windows"}
-    remaining = 0.0
     if before is not None:
         sinking, warned = max(sinking, _deepest_sinking(before)), _warned(before)
-        remaining = min(0.0, least_remaining(before.assessment.budget))
-    elif plan.mission.limits.accept_negative_budget:
-        remaining = -np.inf
     return bool(
         certified(plan, tracking=tracking)
         and _deepest_sinking(again) <= sinking
-        and least_remaining(again.assessment.budget) >= remaining
+        and least_remaining(again.assessment.budget) >= _least_accepted(plan, before)
         and _warned(again) <= warned
     )
+
+
+def _remaining(plan: Plan) -> float:
+    """Return what remains least of the budgets of strands; 0 where the plan has no tube."""
+    tube = PlanChecks.of(plan).tube
+    return 0.0 if tube is None else least_remaining(smallest_budgets(plan, tube.pairs))
+
+
+def _least_accepted(plan: Plan, before: PlanningResult | None) -> float:
+    """Return what must remain of budgets at least."""
+    if before is not None:
+        return min(0.0, least_remaining(before.assessment.budget))
+    return -np.inf if plan.mission.limits.accept_negative_budget else 0.0
 
 
 def _slowest(plan: Plan) -> float:

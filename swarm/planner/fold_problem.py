@@ -2,7 +2,8 @@
 
 Every vehicle moves along a quintic B-spline with evenly spaced knots, which rests at both ends. The
 last place is its corner of the folded knot; the first one is on a level line, whose place, height
-and heading are free. So are the other control points, and the duration.
+and heading are free, or where the vehicle is now. Free are the other control points, too, and the
+duration.
 
 The cost is a sum of barriers (:mod:`.team_terms`) at evenly spaced moments: of all distances that
 must be kept, of speeds and accelerations, and of the swing of every strand. A strand swings as two
@@ -326,13 +327,14 @@ class Evaluation:
     """The cost of a motion, and what it shows.
 
     Largest ``speed``, ``acceleration``, ``swing`` and ``sinking`` are in m/s, m/s² and metres;
-    ``missed`` and ``missed_after_losses`` the largest missed needs; ``swings`` (t, m) those of the
-    oscillators.
+    ``missed_after_losses`` is the largest missed need then, and ``unavoidable`` what is missed
+    where vehicles begin at given places; ``swings`` (t, m) are those of the oscillators.
     """
 
     cost: float
     needs: ShownNeeds
     missed_after_losses: float
+    unavoidable: float
     speed: float
     acceleration: float
     swing: float
@@ -341,8 +343,8 @@ class Evaluation:
 
     @property
     def missed(self) -> float:
-        """The largest missed need, metres."""
-        return float(self.needs.missed.max())
+        """The largest missed need, metres, beyond what is unavoidable."""
+        return max(float(self.needs.missed.max()) - self.unavoidable, 0.0)
 
 
 class _Moved(NamedTuple):
@@ -356,6 +358,7 @@ class _Moved(NamedTuple):
 class Problem:
     """What a fold is: its team, limits, the ``folded`` corners (n, 3), and the line.
 
+    With ``given`` places (n, 3) vehicles begin there, and not on a line: its pose moves nothing.
     ``along`` (n,) are the places of vehicles on the line from its middle, metres, and ``before``
     (r, 4) those on the way there: along the line, aside of it (to its left for a knot on its
     right), their share of its height, and metres above that. ``count`` control points move each
@@ -374,6 +377,7 @@ class Problem:
     count: int
     drag: float
     jet: float
+    given: Floats | None = None
     whole: int = 2500
 
     @cached_property
@@ -399,8 +403,10 @@ class Problem:
         first, third = self.basis.values[1], self.basis.values[3]
         return first.T @ (weight[:, None] * first), third.T @ (weight[:, None] * third)
 
-    def line(self, pose: Floats) -> Floats:
-        """Return the vehicles (n, 3) on the line."""
+    def first(self, pose: Floats) -> Floats:
+        """Return the first places (n, 3): on the line, or those that are given."""
+        if self.given is not None:
+            return self.given
         x, y, z, heading = pose
         level = np.full(len(self.along), z)
         return np.stack(
@@ -410,9 +416,10 @@ class Problem:
     def by_pose(self, pose: Floats) -> Floats:
         """Return the derivative (k·3n, 4) of all control points by the pose of the line."""
         derivative = np.zeros((len(self.along), 3, 4))
-        derivative[:, [0, 1, 2], [0, 1, 2]] = 1.0
-        derivative[:, 0, 3] = -self.along * math.sin(pose[3])
-        derivative[:, 1, 3] = self.along * math.cos(pose[3])
+        if self.given is None:
+            derivative[:, [0, 1, 2], [0, 1, 2]] = 1.0
+            derivative[:, 0, 3] = -self.along * math.sin(pose[3])
+            derivative[:, 1, 3] = self.along * math.cos(pose[3])
         return (self.following[:, None, None] * derivative.reshape(-1, 4)).reshape(-1, 4)
 
     @cached_property
@@ -427,7 +434,7 @@ class Problem:
 
     def control(self, fold: Fold) -> Floats:
         """Return all control points (k, n, 3)."""
-        points = self.following[:, None, None] * self.line(fold.pose)
+        points = self.following[:, None, None] * self.first(fold.pose)
         points[-RESTING:] = self.folded
         points[RESTING:-RESTING] += fold.free
         return points
@@ -497,6 +504,7 @@ class Problem:
             missed_after_losses=max(
                 (float(each.missed.max()) for each in records[1:]), default=0.0
             ),
+            unavoidable=0.0 if self.given is None else float(records[0].missed[0]),
             speed=fastest,
             acceleration=hardest,
             swing=float(swings.max()),

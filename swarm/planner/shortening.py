@@ -51,7 +51,7 @@ from swarm.planner.fold_problem import (
 from swarm.planner.pacing import swing_limit
 from swarm.planner.team_terms import Needs, Team, Walls, band_times
 from swarm.planning import Plan
-from swarm.planning.assembly import fold_of, with_fold
+from swarm.planning.assembly import begins_aloft, fold_of, with_fold
 from swarm.planning.phase_motion import TAKEOFF_HEIGHT, usable_acceleration
 from swarm.planning.phase_sequence import PADS_ASIDE, laid_along
 from swarm.planning.plan import Phase
@@ -104,10 +104,29 @@ _AROUND = 0.75
 """Seconds around a moment for which what the certificate finds there counts: its intervals are half
 a second long, and a stop reaches farther."""
 
-_FIRST_WEIGHT, _LATER_WEIGHT, _LAST_WEIGHT = 300.0, 1500.0, 12_000.0
-"""Weight of the duration at first, in later rounds and at last: with 12,000, a hundred limits that
-hold the duration keep a 120th of their range. With 8,000, the overhand and the figure-eight are
-0.5 and 1.5 s longer (results of plans, optimised folds)."""
+
+class Effort(NamedTuple):
+    """Weights of the duration at ``first``, in ``later`` rounds and at ``last``, the decrement that
+    ends a round when motions have ``converged``, and the largest numbers of ``rounds`` and of
+    ``steps`` of each."""
+
+    first: float
+    later: float
+    last: float
+    converged: float
+    rounds: int
+    steps: int
+
+
+THOROUGH = Effort(300.0, 1500.0, 12_000.0, 30.0, 8, 80)
+"""With 12,000, a hundred limits that hold the duration keep a 120th of their range. With 8,000, the
+overhand and the figure-eight are 0.5 and 1.5 s longer (results of plans, optimised folds). At the
+end, a step would save 0.1 % of the duration; with a third of that a seventh more steps, and the
+same folds. The square knot needs five rounds."""
+
+HURRIED = Effort(1500.0, 1500.0, 3000.0, 60.0, 3, 20)
+"""For a team in the air, from a motion that is a plan's in part: folds are a sixth longer, after a
+quarter of the steps (results of plans, the rest of a fold)."""
 
 _GROWTH, _FASTER = 1.2, 0.3
 """Growth of the weight in a step, and by how much more it grows with a whole one: chosen among ten
@@ -127,12 +146,10 @@ _KEPT, _NEARLY_KEPT = 0.5, 5.0
 end of a round, so that half is left between the moments; and up to which the weight grows: from 1.5
 to 7.5 the folds of three missions were the same (results of plans, optimised folds)."""
 
-_MOST_STEPS, _CONVERGED, _STILL = 80, 30.0, 1.0
-"""Largest number of steps of a round, the decrement that ends it (at the last weight, a step that
-would save 0.1 % of the duration; with a third of it a seventh more steps, and the same folds), and
-the one after which a motion that uses more room stays as it is: far less, because while barriers
-follow what the lumped masses stray, steps save little for a while, and more
-again."""
+_STILL = 1.0
+"""Decrement after which a motion that uses more room stays as it is: far less than
+:attr:`Effort.converged`, because while barriers follow what the lumped masses stray, steps save
+little for a while, and more again."""
 
 _HALVINGS, _DAMPINGS = 9, 6
 """Largest numbers of shorter and of more damped steps that are tried."""
@@ -157,9 +174,8 @@ _PERIOD, _LEAST_SWING, _LEAST_GAIN, _LARGEST_GAIN = 1.4, 0.15, 0.7, 8.0
 """Seconds in which strays and oscillators are compared, about a period; share of the limit that an
 oscillator counts as swinging at least; and the range of its correction."""
 
-_ROUNDS, _FURTHER = 8, 2
-"""Largest numbers of rounds (the square knot needs five), and of those after a first cleared plan,
-which may not hold in wind."""
+_FURTHER = 2
+"""Largest number of rounds after a first cleared plan, which may not hold in wind."""
 
 _MOST_UNKNOWNS = 10_000
 """Unknowns of a problem: a step of 9,177 (the Carrick mat) takes 3 s of a processor."""
@@ -205,18 +221,25 @@ class Shortening:
         lower = replace(limits, swing=limits.swing * min(1.0, limits.swing / float(stray.max())))
         return replace(self, problem=replace(self.problem, limits=lower))
 
+    def times(self, plan: Plan) -> Floats:
+        """Return the mission times (s,) of the problem's moments in a plan."""
+        fold = plan.phase("fold")
+        return self.problem.shares * fold.duration + fold.start
+
     @property
     def loss_shares(self) -> Floats:
         """Shares (l,) of the duration at which setpoints are lost."""
         return self.problem.shares[::LOSS_EVERY]
 
 
-def shorten(plan: Plan, accepted: Callable[[Plan], Verdict], progress: Progress) -> None:
+def shorten(
+    plan: Plan, accepted: Callable[[Plan], Verdict], progress: Progress, effort: Effort
+) -> None:
     """Look for the shortest fold near that of a plan, from a line that may be elsewhere.
 
-    That fold need not keep its limits: it has the right topology. ``accepted`` is called with
-    plans, and tells whether one keeps what is required. ``progress`` is called with the name of
-    the stage and the share of it that is done.
+    One that :func:`.begins_aloft` begins at the same places. Its fold need not keep its limits: it
+    has the right topology. ``accepted`` is called with plans, and tells whether one keeps what is
+    required. ``progress`` is called with the name of the stage and the share of it that is done.
 
     Raises :class:`swarm.errors.Refused` for more vehicles and a longer fold than can be solved.
     """
@@ -224,12 +247,18 @@ def shorten(plan: Plan, accepted: Callable[[Plan], Verdict], progress: Progress)
     require_solvable(plan.vehicles, fold.duration, short.problem.count)
     fold, frozen = _slow_enough(short, fold)
     wanted = Wanted.nothing(frozen.needs)
+    if effort is HURRIED:
+        # the start is as quick as the fold will be: budgets ask of it what they will ask of that
+        draft = short.plan_with(fold)
+        at = short.times(draft)
+        most = _most(short, draft.motion.at(at)[0])
+        wanted = wanted._replace(strands=np.minimum(_needed_for_budget(draft, at), most))
     room = np.full(len(short.loss_shares), _ROOM_AFTER_LOSS)
-    last = _ROUNDS - 1
-    for number in range(_ROUNDS):
-        weight = _LATER_WEIGHT if number else _FIRST_WEIGHT
+    last = effort.rounds - 1
+    for number in range(effort.rounds):
+        weights = effort._replace(first=effort.later) if number else effort
         centred = _centred(
-            short, fold, frozen, (wanted, room), weight, partial(_show, progress, number)
+            short, fold, frozen, (wanted, room), weights, partial(_show, progress, number)
         )
         if centred is None:
             break
@@ -237,7 +266,10 @@ def shorten(plan: Plan, accepted: Callable[[Plan], Verdict], progress: Progress)
         draft = short.plan_with(fold)
         if PlanChecks.of(draft).spans.problems:
             break
-        verdict, missed = accepted(draft), _missed_after_losses(short, draft)
+        verdict = accepted(draft)
+        missed = np.zeros(len(room), dtype=np.bool_)
+        if verdict != "refused" or effort is not HURRIED:  # half of what a round takes
+            missed = _missed_after_losses(short, draft)
         if verdict == "enough" and not missed.any():
             break
         if verdict != "refused":
@@ -299,6 +331,7 @@ def _problem_of(plan: Plan) -> tuple[Problem, Fold]:
     mission, fold = plan.mission, fold_of(plan)
     end = float(fold.times[-1])
     first, last = fold.at(np.array([0.0, end]))[0]
+    aloft = begins_aloft(plan)
     along = np.linalg.norm(first - first[0], axis=1)
     east, north, _ = first[-1] - first[0]
     pose = np.array([*(0.5 * (first[0] + first[-1])), np.arctan2(north, east)])
@@ -313,10 +346,13 @@ def _problem_of(plan: Plan) -> tuple[Problem, Fold]:
         limits,
         last,
         along - 0.5 * along[-1],
-        _before(mission, plan.layout.lengths, along - 0.5 * along[-1]),
+        _before(mission, plan.layout.lengths, along - 0.5 * along[-1])
+        if not aloft
+        else np.empty((0, 4)),
         max(_CONTROL_POINTS, round(_POINTS_PER_SECOND * end)),
         cable_model(mission.cable.mass_per_length, mission.cable.diameter).normal_drag,
         float(jet_width(mission, np.zeros(1))[0]),
+        given=first if aloft else None,
     )
     places = fold.at(np.linspace(0.0, end, 8 * problem.count))[0]
     return problem, problem.fitted(places, pose, end)
@@ -434,7 +470,7 @@ def _measured_first(short: Shortening, fold: Fold) -> Frozen:
 
 
 def _centred(
-    short: Shortening, fold: Fold, frozen: Frozen, asked: tuple[Wanted, Floats], weight: float,
+    short: Shortening, fold: Fold, frozen: Frozen, asked: tuple[Wanted, Floats], effort: Effort,
     done: Callable[[float], None] = lambda _share: None,
 ) -> tuple[Fold, Frozen] | None:  # fmt: skip
     """Return the motion at the end of a round of steps, and what is measured at it.
@@ -444,11 +480,11 @@ def _centred(
     called with the share of the way to the last weight.
     """
     problem, (wanted, room) = short.problem, asked
-    first = weight
+    weight = effort.first
     allowed = np.maximum(1.0 - wanted.less / problem.limits.swing, _LEAST_ALLOWED)
     frozen = replace(frozen, allowed=allowed, coasting=_coasting(short, fold, room))
     damping = 1.0
-    for _ in range(_MOST_STEPS):
+    for _ in range(effort.steps):
         frozen = replace(frozen, soft=min(_SOFTEST, _SOFTENED / weight))
         step = _newton_step(problem, fold, frozen, weight, damping)
         fold, shown, damping = step.fold, step.shown, step.damping
@@ -459,15 +495,15 @@ def _centred(
         frozen = _with_needs(short, fold, frozen, shown, wanted, _TOWARDS)
         frozen = replace(frozen, gains=gains, coasting=coasting)
         exceeded = _exceeded(problem.limits, shown, stray)
-        last = weight == _LAST_WEIGHT or exceeded >= _NEARLY_KEPT
-        within = _CONVERGED if exceeded < _KEPT else _STILL
+        last = weight == effort.last or exceeded >= _NEARLY_KEPT
+        within = effort.converged if exceeded < _KEPT else _STILL
         if last and step.share > 0.0 and step.decrement < within:
             return (fold, frozen) if exceeded < _NEARLY_KEPT else None
         near = step.decrement < _NEAR_CENTRE
         enough = step.share > (_BRIEF if near else _WHOLE) and step.decrement < _FAR_FROM_CENTRE
         if enough and exceeded < _NEARLY_KEPT:
-            weight = min(weight * (_GROWTH + _FASTER * step.share), _LAST_WEIGHT)
-        done(math.log(weight / first) / math.log(_LAST_WEIGHT / first))
+            weight = min(weight * (_GROWTH + _FASTER * step.share), effort.last)
+        done(math.log(weight / effort.first) / math.log(effort.last / effort.first))
     return (fold, frozen) if shown.missed < _NEARLY_KEPT * _ROOM else None
 
 
@@ -549,8 +585,7 @@ def _coasting(short: Shortening, fold: Fold, room: Floats) -> Coasting:
 
 def _wanted(short: Shortening, plan: Plan, needs: Needs, before: Wanted) -> Wanted:
     """Return what the certificate asks for, beyond ``needs`` that are too small and ``before``."""
-    fold = plan.phase("fold")
-    at = short.problem.shares * fold.duration + fold.start
+    at = short.times(plan)
     _, bodies, aside, _ = Wanted.nothing(needs)
     strands = _needed_for_budget(plan, at)
     segments = {segment_name(k): k for k in range(plan.vehicles - 1)}

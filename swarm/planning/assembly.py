@@ -15,9 +15,9 @@ from swarm.geometry.sensitivity import BOTH_ENDS, sensitivity_tables
 from swarm.knots.grid import OpenGrid
 from swarm.mission import Mission
 from swarm.planning.foldings import Folding, layout_sizes, room_to_swing
-from swarm.planning.phase_motion import usable_acceleration
-from swarm.planning.phase_sequence import PhaseSequence, flight_around_fold
-from swarm.planning.plan import KnotSummary, Plan
+from swarm.planning.phase_motion import PhaseMotion, usable_acceleration
+from swarm.planning.phase_sequence import PhaseSequence, flight_around_fold, join_phases
+from swarm.planning.plan import KnotSummary, Phase, Plan
 from swarm.planning.timing import time_path
 
 Floats = npt.NDArray[np.float64]
@@ -101,16 +101,29 @@ def _assembled(
 
 def fold_of(plan: Plan) -> Motion:
     """Return the motion of a plan's fold alone, from time 0."""
-    phase, times = plan.phase("fold"), plan.motion.times
+    return _motion_of(plan, plan.phase("fold"))
+
+
+def _motion_of(plan: Plan, phase: Phase) -> Motion:
+    """Return the motion of one phase, from time 0."""
+    times = plan.motion.times
     first, last = np.searchsorted(times, [phase.start - _SAME, phase.end - _SAME])
     return Motion(times[first : last + 1] - times[first], plan.motion.coefficients[first:last])
 
 
-def with_fold(plan: Plan, fold: Motion) -> Plan:
-    """Return the plan with another fold between the same two formations.
+def begins_aloft(plan: Plan) -> bool:
+    """Return whether a plan begins with its fold, from where its vehicles hold the cable."""
+    return plan.phases[0].name == "fold"
 
-    The flight around it is planned again, higher where the fold's cable would come too low.
+
+def with_fold(plan: Plan, fold: Motion) -> Plan:
+    """Return the plan with another fold that ends in the same formation.
+
+    The flight around it is planned again, higher where the fold's cable would come too low. Of a
+    plan that :func:`begins_aloft`, the flight after the fold stays as it is.
     """
+    if begins_aloft(plan):
+        return beginning_with(plan, fold)
     rise = max(0.0, _height(plan.mission, fold, plan.layout.lengths))
     if plan.mission.layout.height != "auto":
         rise = 0.0
@@ -123,6 +136,20 @@ def with_fold(plan: Plan, fold: Motion) -> Plan:
         phases=flight.phases,
         gates=flight.gates,
         path=plan.path + up,
+    )
+
+
+def beginning_with(plan: Plan, fold: Motion) -> Plan:
+    """Return the plan from a fold on, which begins where its vehicles are and ends as planned."""
+    parts = []
+    for phase in plan.phases[plan.phases.index(plan.phase("fold")) :]:
+        motion = fold if phase.name == "fold" else _motion_of(plan, phase)
+        at_end = (gate for gate in plan.gates if abs(gate.time - phase.end) < _SAME)
+        gate, inner = next(((each.condition, each.inner) for each in at_end), (None, False))
+        parts.append(PhaseMotion(phase.name, motion, phase.cable, phase.reversible, gate, inner))
+    flight = join_phases(tuple(parts), [])
+    return replace(
+        plan, motion=flight.motion, phases=flight.phases, gates=flight.gates, path=np.empty((0, 3))
     )
 
 

@@ -5,7 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import common
 
+from swarm import planner
 from swarm.errors import InputError, Refused
 from swarm.flight.archive import certificate_document, read_certificate
 from swarm.flight.conductor import Conductor
@@ -141,6 +143,58 @@ def test_the_operator_may_say_what_follows(then, ends):
     truth = flight.emulator.truth()
     assert not truth.armed.any()
     assert truth.gripped.all() == (then == "land")
+
+
+def moved_by_another_station(flight, system, aside):
+    """Another ground station has led a vehicle aside, metres NED, while it held."""
+    way = flight.conductor.team.way_to(system)
+    place = flight.conductor.team.vehicles[system].position
+    for share in np.linspace(0.0, 1.0, round(5.0 / flight.step)):
+        for _system, _data in flight.emulator.step(flight.now):
+            pass
+        x, y, z = place + share * np.array(aside)
+        target = common.MAVLink_set_position_target_local_ned_message(
+            0, system, 1, 1, 0b110111111000, x, y, z, 0, 0, 0, 0, 0, 0, 0, 0
+        )
+        flight.emulator.receive(system, way.encoder.encode(target), flight.now)
+        flight._tick += 1
+        flight.now = flight._tick * flight.step
+
+
+@pytest.mark.slow
+def test_a_team_beside_its_plan_flies_the_rest_of_the_fold_from_there():
+    flight, left = broken_off(("ardupilot",), 3.0, 4.0)
+    moved_by_another_station(flight, 2, (0.0, 0.0, -0.8))
+    before = flight.emulator.truth().position.copy()
+    taken_up(flight, left, None)
+    began = len(flight.sent)
+    assert flight.run(most=10.0).word == "done"
+    found = flight.conductor.found
+    assert 0.5 < found.off < 0.9
+    kinds = {int.from_bytes(data[7:10], "little") for _, _, data in flight.sent[began:]}
+    assert not kinds & {
+        common.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
+        common.MAVLINK_MSG_ID_SET_MODE,
+        common.MAVLINK_MSG_ID_MANUAL_CONTROL,
+    }, "a search commands nothing"
+    assert np.linalg.norm(flight.emulator.truth().position - before, axis=1).max() < 0.1
+
+    rest = planner.rest_of_fold(PLAN.plan, found.time, found.places).certified()
+    assert np.array_equal(rest.plan.motion.at(0.0)[0], found.places)
+    flight.flight_plan = rest
+    flight.conductor = Conductor(
+        rest, flight.fleet, left=replace(left, mission_time=0.0, gate=0), then="continue"
+    )
+    assert flight.conductor.basis.kind == "certified"
+    assert flight.run(most=300.0).word == "done", flight.words("failure")
+    assert flight.words("failure") == []
+    words = flight.words("resume")
+    assert words[0].startswith("found the team at 0.")
+    trace = flight.conductor.trace()
+    folding = np.array(trace.phase) == "fold"
+    error = np.linalg.norm(trace.position - trace.setpoint, axis=2)[folding]
+    assert np.nanmax(error) < 0.1, "within its certificate from its first setpoint on"
+    assert not flight.emulator.truth().gripped.any()
 
 
 @pytest.mark.slow

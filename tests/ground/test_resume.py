@@ -6,7 +6,9 @@ import subprocess
 import sys
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
+from pymavlink import mavutil
 
 from swarm.flight.world import emulated_world
 from swarm.ground.record_reader import recorded_flight, recorded_plan
@@ -36,18 +38,18 @@ def process(*arguments):
         running.stdout.close()
 
 
-@pytest.mark.slow
-def test_after_sigkill_in_the_fold_the_team_is_found_and_the_flight_continues(tmp_path):
-    port, record, clock = str(free_port()), tmp_path / "record", str(tmp_path / "clock.bin")
+@contextmanager
+def killed_in_the_fold(folder):
+    """A team whose ground station was killed: its record, the port, and the clock of its world."""
+    port, record, clock = str(free_port()), folder / "record", str(folder / "clock.bin")
     world = emulated_world(
         FLIGHT_PLAN.plan, emulated_fleet(3, ("ardupilot",)), with_cable=True, seed=1
     )
-    (tmp_path / "world.json").write_text(json.dumps(world))
-    sitl = ("sitl", "--world", str(tmp_path / "world.json"), "--speed", SPEED, "--clock", clock)
+    (folder / "world.json").write_text(json.dumps(world))
+    sitl = ("sitl", "--world", str(folder / "world.json"), "--speed", SPEED, "--clock", clock)
     with process(*sitl, "--target", f"127.0.0.1:{port}") as world_process:
         assert "3 emulated vehicles" in world_process.stdout.readline()
-        ground = (str(record), port, SPEED, clock)
-        with process("tests.ground.station", "fly", *ground) as station:
+        with process("tests.ground.station", "fly", str(record), port, SPEED, clock) as station:
             said = []
             for line in station.stdout:
                 said.append(line)
@@ -57,6 +59,13 @@ def test_after_sigkill_in_the_fold_the_team_is_found_and_the_flight_continues(tm
                 raise AssertionError(said[-10:])
             station.send_signal(signal.SIGKILL)
             station.wait()
+        yield record, port, clock
+
+
+@pytest.mark.slow
+def test_after_sigkill_in_the_fold_the_team_is_found_and_the_flight_continues(tmp_path):
+    with killed_in_the_fold(tmp_path) as (record, port, clock):
+        ground = (str(record), port, SPEED, clock)
         with process("tests.ground.station", "resume", *ground, "continue") as on:
             said = on.communicate(timeout=60)[0]
     assert "resume: found the team at " in said
@@ -68,6 +77,41 @@ def test_after_sigkill_in_the_fold_the_team_is_found_and_the_flight_continues(tm
     assert flown.as_planned, "in the frames that its record keeps, for it begins in mid-air"
     # Setpoints of a busy machine come late now and then; a wrong frame is off all the time.
     assert all(error.rms < 0.1 for error in flown.tracking if error.phase == "fold")
+
+
+def lead_aside(port, system, down):
+    """Lead a vehicle downwards by so many metres, as another ground station."""
+    link = mavutil.mavlink_connection(f"udpin:127.0.0.1:{port}", source_system=254)
+    start = None
+    for share in np.linspace(0.0, 1.0, 100):
+        while True:
+            place = link.recv_match(type="LOCAL_POSITION_NED", blocking=True, timeout=10.0)
+            assert place is not None
+            if place.get_srcSystem() == system:
+                break
+        start = start or place
+        link.mav.set_position_target_local_ned_send(
+            0, system, 1, mavutil.mavlink.MAV_FRAME_LOCAL_NED, 0b110111111000,
+            start.x, start.y, start.z + share * down, 0, 0, 0, 0, 0, 0, 0, 0,
+        )  # fmt: skip
+    link.close()
+
+
+@pytest.mark.slow
+def test_a_team_that_was_moved_meanwhile_flies_the_rest_of_the_fold_from_there(tmp_path):
+    with killed_in_the_fold(tmp_path) as (record, port, clock):
+        lead_aside(port, 2, -0.7)
+        folder = tmp_path / "resumed"
+        options = ("--clock", clock, "--then", "continue", "--record", str(folder))
+        done = run("fly", "--resume", str(record), *options)
+    said = " ".join(done.stdout.split())
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "m beside its places at" in said
+    assert "The rest of the fold from there takes" in said
+    assert "all vehicles have landed and disarmed" in said
+    plan = recorded_plan(folder)
+    assert plan.phases[0].name == "fold"
+    assert verify_trace(plan, recorded_flight(folder, plan).trace).as_planned
 
 
 def test_records_that_cannot_be_resumed_are_refused(tmp_path):
