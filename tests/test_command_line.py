@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from swarm import verify
-from swarm.cli.main import COMMANDS, _report_bug
+from swarm.cli.main import COMMANDS, report_bug
 from swarm.errors import reason
 from swarm.files import write_bytes
 from swarm.front.plan_files import certified_plan_file, load_certified
@@ -289,7 +289,7 @@ def test_a_start_that_is_not_planned_is_refused() -> None:
 
 def test_a_bug_is_reported_without_a_file_for_its_traceback(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "missing"))
-    assert _report_bug(ZeroDivisionError()) == 70
+    assert report_bug(ZeroDivisionError()) == 70
     assert capsys.readouterr().err == (
         "swarm has a bug: ZeroDivisionError: failed without a message (ZeroDivisionError)\n"
         "The traceback cannot be written: no such file or directory\n"

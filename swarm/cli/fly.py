@@ -38,6 +38,7 @@ from swarm.cli.inputs import (
     confirmed,
     refuse_option_conflicts,
 )
+from swarm.cli.main import report_bug
 from swarm.cli.planning import (
     load_source,
     load_training,
@@ -48,15 +49,24 @@ from swarm.cli.planning import (
 from swarm.console.launch import parse_address, require_usable
 from swarm.errors import InputError, Problem, Refused, SwarmError
 from swarm.flight.bench_flight import RAISED, raised
-from swarm.flight.flight_plan import Audit, Basis, ResumedFlight, confirmed_basis
+from swarm.flight.execute import LARGEST
+from swarm.flight.flight_plan import (
+    Audit,
+    Basis,
+    ResumedFlight,
+    basis_of,
+    confirmed_basis,
+    require_tracking,
+)
 from swarm.flight.responding import COUNTDOWN
 from swarm.flight.result import FlightResult
 from swarm.flight.setup import LOOSE_ERROR
+from swarm.flight.state import Found
 from swarm.flight.tlog import Then, left_off
 from swarm.flight.training import require_emulated
 from swarm.front.files import load_fleet
 from swarm.ground.flight_process import FlightRequest, fly_in_process
-from swarm.ground.fly import FlightCallbacks, FlyOptions, Unattended, find_team
+from swarm.ground.fly import FlightCallbacks, FlyOptions, Unattended, with_found_team
 from swarm.ground.ladder import require_steps
 from swarm.ground.operator import parse_group
 from swarm.ground.record import control_socket, new_record_folder
@@ -111,7 +121,7 @@ def resume_flight(
         options, no_cable=not basis.cable, control=control_socket(folder), left=moment
     )
     prepare_flight()
-    flight = _from_here(FlightRequest(flight_plan, fleet, folder, options), basis, console)
+    flight = _from_here(FlightRequest(flight_plan, fleet, folder, options), basis)
     plan = flight.flight_plan.plan
     with (
         displays(plan, folder, view, console, options.share) as shown,
@@ -142,33 +152,45 @@ def resume_flight(
     )
 
 
-def _from_here(flight: FlightRequest, basis: Basis, console: Console) -> FlightRequest:
+def _from_here(flight: FlightRequest, basis: Basis) -> FlightRequest:
     """Return a flight that is resumed; from where its vehicles are, if they are beside its fold.
 
     Where they are farther from their places than is certified, the rest of the fold is planned and
-    certified from there. Where that is refused, the flight is as it was, and says what it does.
+    certified from there. Where that is refused, the team only holds, at its places. Both is said on
+    standard error.
     """
     plan, options = flight.flight_plan.plan, flight.options
-    if options.left is None or not options.left.gripped or options.then not in {"hold", "continue"}:
+    left = options.left
+    if not basis.cable or left is None or options.then not in {"hold", "continue"}:
         return flight
-    found = find_team(flight.flight_plan, flight.fleet, options)
-    beside = found.off > (basis.max_tracking_error or 0.0)
-    if not beside or plan.phase_at(found.time).name != "fold":
-        return flight
-    place = f"up to {found.off:.2f} m beside its places at {found.time:.1f} s of the plan"
+    console = Console(stderr=True)
+
+    def said(words: str) -> None:
+        console.print(words, highlight=False, markup=False, soft_wrap=True)
+
+    def rest(found: Found) -> FlightRequest:
+        in_fold = left.gripped and plan.phase_at(found.time).name == "fold"
+        if not in_fold or not (basis.max_tracking_error or 0.0) < found.off <= LARGEST:
+            return flight
+        said(
+            f"The team is up to {found.off:.2f} m beside its places at {found.time:.1f} s of the "
+            "plan: planning the rest of the fold from there."
+        )
+        certified = rest_of_fold(plan, found)
+        require_tracking(basis_of(certified, cable=True), flight.fleet)
+        seconds = certified.plan.phase("fold").duration
+        said(f"It takes {seconds:.1f} s, and is certified. A rewind ends where it begins.")
+        begins = replace(options, left=replace(left, mission_time=0.0, gate=0))
+        return replace(flight, flight_plan=certified, options=begins)
+
     try:
-        rest = rest_of_fold(plan, found)
+        return with_found_team(flight.flight_plan, flight.fleet, options, rest) or flight
     except SwarmError as error:
-        console.print(f"The team is {place}; the fold is not planned anew:", highlight=False)
-        console.print(str(error), style="dim", highlight=False, markup=False)
-        return flight
-    console.print(
-        f"The team is {place}. The rest of the fold from there takes "
-        f"{rest.plan.phase('fold').duration:.1f} s, and is certified.",
-        highlight=False,
-    )
-    left = replace(options.left, mission_time=0.0, gate=0)
-    return replace(flight, flight_plan=rest, options=replace(options, left=left))
+        said(f"It is not planned anew:\n{error}")
+    except Exception as error:
+        report_bug(error)
+    said("The team is led back to its places in the plan, and holds there.")
+    return replace(flight, options=replace(options, then="hold"))
 
 
 _FLIGHTS = Path("flights")

@@ -250,7 +250,7 @@ def main() -> None:
         sys.stderr.close()  # the reader of the output has closed it; Rich then ends the program
         code = 0
     except Exception as error:
-        code = _report_bug(error)
+        code = report_bug(error)
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -299,7 +299,7 @@ def termination_as_interrupt() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _report_bug(error: Exception) -> int:
+def report_bug(error: Exception) -> int:
     """Print that this is a bug, write the traceback to a file, and return EX_SOFTWARE."""
     click.echo(f"swarm has a bug: {type(error).__name__}: {reason(error)}", err=True)
     try:

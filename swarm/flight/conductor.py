@@ -127,7 +127,7 @@ class Conductor:
         """Raise :class:`Refused` where the fleet is too small or the plan must not be flown.
 
         ``left`` is where a flight broke off that is to be resumed, ``then`` the operator's order
-        for after all vehicles have been found. With None the flight ends there: see ``found``.
+        for after all vehicles have been found. With None they are only searched: see ``found``.
         """
         setup = setup_of(flight_plan, fleet, options)
         self.state = initial_state(setup, Resumption(left, then))
@@ -176,7 +176,7 @@ class Conductor:
 
     @property
     def found(self) -> Found | None:
-        """Where the team of an interrupted flight was found; None before."""
+        """Where a team rests that is only searched; None before."""
         return self.state.resumption.found
 
     @property

@@ -25,6 +25,7 @@ from swarm.flight.streams import STREAM_BEFORE_OFFBOARD, continue_rejoining, rej
 from swarm.flight.tlog import LeftOff
 from swarm.mavlink.vehicle import Vehicle
 from swarm.planning import Condition
+from swarm.planning.assembly import begins_aloft
 
 Flags = npt.NDArray[np.bool_]
 
@@ -148,8 +149,12 @@ def at_rest(flight: FlightState) -> Flags:
     """Return which vehicles (n,) are at rest at their setpoints."""
     seen = flight.observation
     near: Flags = seen.error <= max(flight.allowed_error, 1e-9)
-    slow: Flags = np.linalg.norm(seen.velocity, axis=1) <= SETTLED_SPEED
-    return near & slow
+    return near & _slow(flight)
+
+
+def _slow(flight: FlightState) -> Flags:
+    slow: Flags = np.linalg.norm(flight.observation.velocity, axis=1) <= SETTLED_SPEED
+    return slow
 
 
 def _begin_settling(flight: FlightState) -> None:
@@ -256,12 +261,15 @@ _STEP = 0.05
 
 
 def find_team(flight: FlightState) -> None:
-    """Search the team; once all vehicles are received, go on where they are, and hold."""
+    """Search the team; once all vehicles are received, go on where they are, and hold.
+
+    A team that is only searched is found once it rests: :attr:`.Resumption.found`.
+    """
     ending = flight.resumption.left_off
     if ending is None:
         raise ValueError("this flight was not interrupted")
     if flight.progress.first_time(-1, "search"):
-        flight.progress.gate_since = flight.now
+        flight.progress.gate_since = flight.progress.settled_since = flight.now
     for k, vehicle in enumerate(flight.roster.vehicles):
         if flight.received(vehicle) and flight.progress.first_time(k, "streams"):
             request_streams(vehicle, flight.setup.fleet)
@@ -276,15 +284,20 @@ def find_team(flight: FlightState) -> None:
         flight.finish("failed", f"no longer flying: {names}; the others land by their failsafes")
         return
     found = _place_in_plan(flight, ending)
-    flight.resumption.found = found
-    off = found.off
-    words = f"found the team at {found.time:.1f} s of the plan, up to {off:.2f} m from it"
+    landing = any(vehicle.in_mode("land") for vehicle in flight.roster.vehicles)
     if flight.resumption.then is None:
-        flight.finish("done", words)
+        if landing or not _slow(flight).all():
+            flight.progress.settled_since = flight.now
+        if flight.now - flight.progress.settled_since >= SETTLED_FOR:
+            flight.resumption.found = found
         return
     _go_on(flight, ending, found.time)
+    off, plan = found.off, flight.setup.plan
+    words = f"found the team at {found.time:.1f} s of the plan, up to {off:.2f} m from it"
     flight.report("resume", words)
-    landing = any(vehicle.in_mode("land") for vehicle in flight.roster.vehicles)
+    if begins_aloft(plan) and off > plan.mission.vehicles.tracking:
+        flight.report("resume", "it has moved since that was planned: it holds once it is there")
+        flight.resumption.then = "hold"
     if landing or off > LARGEST:
         why = "vehicles already land" if landing else f"a vehicle is {off:.1f} m from its place"
         words = f"the flight cannot be resumed: {why}"

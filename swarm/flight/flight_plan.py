@@ -23,6 +23,7 @@ from swarm.certification.stream_loss import StreamLossCertificate
 from swarm.errors import Refused
 from swarm.mission.fleet import Fleet
 from swarm.planning import Plan, digest
+from swarm.planning.assembly import begins_aloft
 
 Kind = Literal["certified", "hop", "raised", "resumed", "comparison"]
 
@@ -157,7 +158,8 @@ def basis_of(flight_plan: FlightPlan, *, cable: bool) -> Basis:
         words = f"{what}, certified without cable for {ball}"
         return Basis(flight_plan.purpose, words, name, False, largest)
     words = f"certified{_model(plan, flight_plan.assessment)} for {ball}"
-    return Basis("certified", words, name, cable, largest)
+    kind: Kind = "resumed" if begins_aloft(plan) else "certified"
+    return Basis(kind, words, name, cable, largest)
 
 
 def _model(plan: Plan, assessment: Assessment) -> str:

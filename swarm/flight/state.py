@@ -275,7 +275,7 @@ class Resumption:
     """Where an interrupted flight broke off, and the operator's order for after it is resumed.
 
     ``then`` is None for a team that is only searched: nothing is commanded. ``found`` is where it
-    was found.
+    rests then.
     """
 
     left_off: LeftOff | None = None

@@ -432,7 +432,7 @@ def left_off(tlog: bytes, plan: Plan, fleet: Fleet, known: KnownFrames | None = 
     time, phase = float(flown.trace.mission_time[-1]), flown.trace.phase[-1]
     if not phase:
         raise InputError("the team was leaving the plan, or had not begun it: nothing to resume")
-    if time <= 0.0:
+    if time <= 0.0 and not begins_aloft(plan):
         raise InputError("the team had not left the ground: fly it anew")
     passed = [gate for gate in plan.gates if gate.time < time - 1e-3]
     done = {gate.condition for gate in passed}

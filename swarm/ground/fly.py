@@ -16,12 +16,12 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from swarm import precompile
-from swarm.errors import InputError, Problem, Refused, SwarmError, VehicleError
+from swarm.errors import InputError, Problem, Refused, SwarmError
 from swarm.flight.bodies import pose_rows
 from swarm.flight.conductor import Conductor
 from swarm.flight.fleet_listener import position_quality
@@ -70,7 +70,11 @@ from swarm.ground.world_clock import WorldClock, open_clock
 from swarm.jit import sealed
 from swarm.mission.fleet import Fleet
 
+T = TypeVar("T")
+
 _MAX_QUEUED = 200
+_SEARCH = 10.0
+"""Seconds in which a team that holds is found: streams begin in 2.5 s, then it rests for 1 s."""
 
 
 @dataclass(frozen=True)
@@ -553,25 +557,56 @@ def fly(
         return result
 
 
-def find_team(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions) -> Found:
-    """Return where the team of an interrupted flight is, ``options.left``; nothing is commanded.
+def with_found_team(
+    flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions, work: Callable[[Found], T]
+) -> T | None:
+    """Return the result of ``work`` with where the team of an interrupted flight rests.
 
-    Raises :class:`swarm.errors.VehicleError` where it is not found, or no longer flies.
+    It is done in a thread, while the vehicles hear this station, so that they hold on, and get no
+    command. None where they are not found at rest in :data:`_SEARCH` seconds, or where the flight
+    itself is to send them their poses.
+
+    Raises the errors of ``work``, and :class:`swarm.errors.VehicleError` for a link that cannot be
+    opened.
     """
     setup = FlightOptions(no_cable=options.no_cable)
     conductor = Conductor(flight_plan, fleet, setup, left=options.left, then=None)
+    results: queue.SimpleQueue[tuple[T | None, Exception | None]] = queue.SimpleQueue()
+    workers: list[threading.Thread] = []
+
+    def run(found: Found) -> None:
+        try:
+            results.put((work(found), None))
+        except Exception as error:
+            results.put((None, error))
+
+    def each_tick(now: float) -> None:
+        if workers:
+            if not workers[0].is_alive():
+                conductor.give_up("the search has ended")
+        elif conductor.found is not None:
+            workers.append(threading.Thread(target=run, args=(conductor.found,), daemon=True))
+            workers[0].start()
+        elif now > _SEARCH:
+            conductor.give_up("the team was not found at rest")
+
     with ExitStack() as resources:
         links, borrowed = resources.enter_context(links_of(fleet, options.mocap))
+        if options.mocap is not None and borrowed is None:
+            return None
         conductor.team.signing = resources.enter_context(signing_with(fleet.signing_key))
         clock = _followed_clock(None, options, resources)
         copies = [borrowed] if borrowed is not None else []
         Loop(
-            conductor, links, None, options.speed, lambda _: None, None, copies,
-            feeds=copies, world=clock,
+            conductor, links, None, options.speed, each_tick, None, copies, feeds=copies,
+            world=clock,
         ).run()  # fmt: skip
-    if conductor.found is None or conductor.finished is None:
-        raise VehicleError(conductor.finished.explanation if conductor.finished else "not found")
-    return conductor.found
+    if not workers:
+        return None
+    result, error = results.get()
+    if error is not None:
+        raise error
+    return result
 
 
 def _refuse_unflyable(flight_plan: FlightPlan, fleet: Fleet, options: FlyOptions) -> None:

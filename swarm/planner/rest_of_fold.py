@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from swarm.certification.assessment import clearance_findings
 from swarm.certification.clearances import violations
-from swarm.certification.distances import Samples, closest_segments
+from swarm.certification.distances import Samples, closest_neighbours, closest_segments
 from swarm.errors import Refused
 from swarm.geometry.motion import Motion, at_rest, through_states
 from swarm.planning import Plan
@@ -43,18 +43,9 @@ def rest_of_fold_from(plan: Plan, time: float, places: Floats) -> Plan:
     phase = plan.phase_at(time)
     if phase.name != "fold":
         raise Refused(f"the rest of a fold: expected a time in the fold, got {time:.1f} s")
-    if short := too_near(plan, places):
-        raise Refused("\n".join(short))
     planned = plan.motion.at(np.array([time]))[0][0]
-    shares = np.linspace(0.0, 1.0, _ASIDE)
-    way = planned + shares[:, None, None] * (places - planned)
-    nearest = closest_segments(Samples(plan, way, np.arange(float(_ASIDE))))
-    if nearest is not None and nearest.distance < nearest.required:
-        raise Refused(
-            f"{' and '.join(nearest.between)} come within {nearest.distance:.2f} m of each other "
-            "on the straight way from their places in the plan to where they are, "
-            f"{nearest.required:g} m required: either may have passed the other"
-        )
+    if words := [*_too_near(plan, places), *_may_have_passed(plan, planned, places)]:
+        raise Refused("\n".join(words))
     since = time - phase.start
     motion = _from_rest(fold_of(plan), since, places - planned)
     note = (
@@ -64,12 +55,25 @@ def rest_of_fold_from(plan: Plan, time: float, places: Floats) -> Plan:
     return replace(beginning_with(plan, motion), notes=(note,))
 
 
-def too_near(plan: Plan, places: Floats) -> list[str]:
+def _too_near(plan: Plan, places: Floats) -> list[str]:
     """Return what does not keep its distance at places (n, 3) for tracking errors, in words."""
     phase = replace(plan.phase("fold"), start=0.0, end=_MOMENT)
     still = replace(plan, motion=at_rest(places, _MOMENT), phases=(phase,), gates=())
     findings = clearance_findings(still, violations(still, swinging=False))
     return [f"{finding.check}: {finding.message}" for finding in findings]
+
+
+def _may_have_passed(plan: Plan, planned: Floats, places: Floats) -> list[str]:
+    """Return which strands come near each other on straight ways to places (n, 3), in words."""
+    shares = np.linspace(0.0, 1.0, _ASIDE)[:, None, None]
+    samples = Samples(plan, planned + shares * (places - planned), np.arange(float(_ASIDE)))
+    return [
+        f"{' and '.join(nearest.between)} come within {nearest.distance:.2f} m of each other on "
+        "the straight way from their places in the plan to where they are, "
+        f"{nearest.required:g} m required: either may have passed the other"
+        for nearest in (closest_segments(samples), closest_neighbours(samples))
+        if nearest is not None and nearest.distance < nearest.required
+    ]
 
 
 def _from_rest(fold: Motion, since: float, aside: Floats) -> Motion:

@@ -21,6 +21,7 @@ from tests.network import Network, small_plan
 
 PLAN = small_plan()
 BEGAN = 1_700_000_000.0
+ARDUPILOT_LAND = 9
 
 
 class Recorded(Network):
@@ -145,56 +146,114 @@ def test_the_operator_may_say_what_follows(then, ends):
     assert truth.gripped.all() == (then == "land")
 
 
-def moved_by_another_station(flight, system, aside):
-    """Another ground station has led a vehicle aside, metres NED, while it held."""
+def sent_by_another_station(flight, system, message):
+    """Another ground station sends a message, and a step of time passes."""
     way = flight.conductor.team.way_to(system)
+    flight.emulator.receive(system, way.encoder.encode(message), flight.now)
+    for _system, _data in flight.emulator.step(flight.now):
+        pass
+    flight._tick += 1
+    flight.now = flight._tick * flight.step
+
+
+def moved_by_another_station(flight, system, aside):
+    """It leads a vehicle aside that holds, metres NED, in five seconds, and keeps it there."""
     place = flight.conductor.team.vehicles[system].position
-    for share in np.linspace(0.0, 1.0, round(5.0 / flight.step)):
-        for _system, _data in flight.emulator.step(flight.now):
-            pass
+    for share in np.minimum(np.arange(0.0, 1.6, 0.2 * flight.step), 1.0):
         x, y, z = place + share * np.array(aside)
-        target = common.MAVLink_set_position_target_local_ned_message(
-            0, system, 1, 1, 0b110111111000, x, y, z, 0, 0, 0, 0, 0, 0, 0, 0
+        sent_by_another_station(
+            flight,
+            system,
+            common.MAVLink_set_position_target_local_ned_message(
+                0, system, 1, 1, 0b110111111000, x, y, z, 0, 0, 0, 0, 0, 0, 0, 0
+            ),
         )
-        flight.emulator.receive(system, way.encoder.encode(target), flight.now)
-        flight._tick += 1
-        flight.now = flight._tick * flight.step
+
+
+def commands(sent):
+    """Return the commands of COMMAND_LONG among packets, and the messages of other kinds."""
+    link = common.MAVLink(None)
+    read = [message for _, _, data in sent for message in link.parse_buffer(data) or ()]
+    return (
+        {message.command for message in read if message.get_type() == "COMMAND_LONG"},
+        {message.get_type() for message in read} - {"COMMAND_LONG"},
+    )
+
+
+def found_beside_its_plan():
+    """A team of which another station has moved a vehicle, searched; and where it is found."""
+    flight, left = broken_off(("ardupilot",), 3.0, 4.0)
+    moved_by_another_station(flight, 2, (0.0, 0.0, -0.8))
+    taken_up(flight, left, None)
+    before, began = flight.emulator.truth().position.copy(), len(flight.sent)
+    flight.run(lambda: flight.conductor.found is not None, most=10.0)
+    asked, others = commands(flight.sent[began:])
+    assert asked <= {common.MAV_CMD_SET_MESSAGE_INTERVAL, common.MAV_CMD_REQUEST_MESSAGE}
+    assert "HEARTBEAT" in others, "so that all hold on"
+    assert others <= {"HEARTBEAT", "TIMESYNC"}
+    assert np.linalg.norm(flight.emulator.truth().position - before, axis=1).max() < 0.1
+    return flight, left, flight.conductor.found
+
+
+def flown_from_there(flight, left, rest):
+    flight.flight_plan, flight.clock_encoder = rest, ClockEncoder(rest.plan)
+    flight.tlog.clear()
+    flight.downlink = flight.kept
+    flight.conductor = Conductor(
+        rest, flight.fleet, left=replace(left, mission_time=0.0, gate=0), then="continue"
+    )
+    assert flight.conductor.basis.kind == "resumed"
+    assert flight.conductor.basis.checked.startswith("certified in the quasi-static cable model")
 
 
 @pytest.mark.slow
 def test_a_team_beside_its_plan_flies_the_rest_of_the_fold_from_there():
-    flight, left = broken_off(("ardupilot",), 3.0, 4.0)
-    moved_by_another_station(flight, 2, (0.0, 0.0, -0.8))
-    before = flight.emulator.truth().position.copy()
-    taken_up(flight, left, None)
-    began = len(flight.sent)
-    assert flight.run(most=10.0).word == "done"
-    found = flight.conductor.found
+    flight, left, found = found_beside_its_plan()
     assert 0.5 < found.off < 0.9
-    kinds = {int.from_bytes(data[7:10], "little") for _, _, data in flight.sent[began:]}
-    assert not kinds & {
-        common.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
-        common.MAVLINK_MSG_ID_SET_MODE,
-        common.MAVLINK_MSG_ID_MANUAL_CONTROL,
-    }, "a search commands nothing"
-    assert np.linalg.norm(flight.emulator.truth().position - before, axis=1).max() < 0.1
-
     rest = planner.rest_of_fold(PLAN.plan, found.time, found.places).certified()
     assert np.array_equal(rest.plan.motion.at(0.0)[0], found.places)
-    flight.flight_plan = rest
-    flight.conductor = Conductor(
-        rest, flight.fleet, left=replace(left, mission_time=0.0, gate=0), then="continue"
-    )
-    assert flight.conductor.basis.kind == "certified"
+    flown_from_there(flight, left, rest)
     assert flight.run(most=300.0).word == "done", flight.words("failure")
     assert flight.words("failure") == []
     words = flight.words("resume")
     assert words[0].startswith("found the team at 0.")
+    assert len(words) == 1
     trace = flight.conductor.trace()
     folding = np.array(trace.phase) == "fold"
     error = np.linalg.norm(trace.position - trace.setpoint, axis=2)[folding]
     assert np.nanmax(error) < 0.1, "within its certificate from its first setpoint on"
     assert not flight.emulator.truth().gripped.any()
+
+
+@pytest.mark.slow
+def test_a_team_that_has_moved_since_its_plan_was_made_holds_there():
+    flight, left, found = found_beside_its_plan()
+    rest = planner.rest_of_fold(PLAN.plan, found.time, found.places).certified()
+    moved_by_another_station(flight, 2, (0.0, 0.0, 0.3))
+    flown_from_there(flight, left, rest)
+    flight.until_time(20.0)
+    assert flight.words("resume")[1] == (
+        "it has moved since that was planned: it holds once it is there"
+    )
+    assert flight.conductor.holding == "the flight is resumed"
+    assert flight.conductor.clock.time < 1.0
+    again = left_off(bytes(flight.tlog), rest.plan, flight.fleet, left.known)
+    assert again.gripped, "also where its clock never ran"
+    flight.conductor.request("resume")
+    assert flight.run(most=300.0).word == "done", flight.words("failure")
+
+
+@pytest.mark.slow
+def test_a_team_that_lands_is_not_found_at_rest():
+    flight, left = broken_off(("ardupilot",), 3.0, 4.0)
+    for system in (1, 2, 3):
+        land = common.MAVLink_command_long_message(
+            system, 1, common.MAV_CMD_DO_SET_MODE, 0, 1, ARDUPILOT_LAND, 0, 0, 0, 0, 0
+        )
+        sent_by_another_station(flight, system, land)
+    taken_up(flight, left, None)
+    flight.run(lambda: flight.now > flight._start + 6.0, most=10.0)
+    assert flight.conductor.found is None
 
 
 @pytest.mark.slow

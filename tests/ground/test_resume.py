@@ -79,8 +79,8 @@ def test_after_sigkill_in_the_fold_the_team_is_found_and_the_flight_continues(tm
     assert all(error.rms < 0.1 for error in flown.tracking if error.phase == "fold")
 
 
-def lead_aside(port, system, down):
-    """Lead a vehicle downwards by so many metres, as another ground station."""
+def lead_aside(port, system, aside):
+    """Lead a vehicle so many metres aside, NED, as another ground station."""
     link = mavutil.mavlink_connection(f"udpin:127.0.0.1:{port}", source_system=254)
     start = None
     for share in np.linspace(0.0, 1.0, 100):
@@ -92,7 +92,7 @@ def lead_aside(port, system, down):
         start = start or place
         link.mav.set_position_target_local_ned_send(
             0, system, 1, mavutil.mavlink.MAV_FRAME_LOCAL_NED, 0b110111111000,
-            start.x, start.y, start.z + share * down, 0, 0, 0, 0, 0, 0, 0, 0,
+            *(np.array([start.x, start.y, start.z]) + share * np.array(aside)), *[0] * 8,
         )  # fmt: skip
     link.close()
 
@@ -100,18 +100,34 @@ def lead_aside(port, system, down):
 @pytest.mark.slow
 def test_a_team_that_was_moved_meanwhile_flies_the_rest_of_the_fold_from_there(tmp_path):
     with killed_in_the_fold(tmp_path) as (record, port, clock):
-        lead_aside(port, 2, -0.7)
+        lead_aside(port, 2, (0.0, 0.0, -0.7))
         folder = tmp_path / "resumed"
         options = ("--clock", clock, "--then", "continue", "--record", str(folder))
         done = run("fly", "--resume", str(record), *options)
-    said = " ".join(done.stdout.split())
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "m beside its places at" in said
-    assert "The rest of the fold from there takes" in said
-    assert "all vehicles have landed and disarmed" in said
+    said = " ".join(done.stderr.split())
+    assert "plan: planning the rest of the fold from there. It takes " in said
+    assert "s, and is certified. A rewind ends where it begins." in said
+    assert "all vehicles have landed and disarmed" in done.stdout
     plan = recorded_plan(folder)
     assert plan.phases[0].name == "fold"
     assert verify_trace(plan, recorded_flight(folder, plan).trace).as_planned
+
+
+@pytest.mark.slow
+def test_where_the_rest_is_refused_the_team_goes_back_to_its_places_and_holds(tmp_path):
+    """Vehicle 2 is led so far aside that its segments are taut for the certificate."""
+    with killed_in_the_fold(tmp_path) as (record, port, clock):
+        lead_aside(port, 2, (0.0, 0.45, 0.0))
+        folder = tmp_path / "resumed"
+        options = ("--clock", clock, "--then", "continue", "--record", str(folder), "--json")
+        done = run("fly", "--resume", str(record), *options)
+    said = " ".join(done.stderr.split())
+    assert "It is not planned anew: " in said
+    assert "The team is led back to its places in the plan, and holds there." in said
+    assert json.loads(done.stdout)["outcome"] == "interrupted", "it lands after the hold timeout"
+    assert done.returncode == 130
+    assert recorded_plan(folder).phases[0].name == "takeoff"
 
 
 def test_records_that_cannot_be_resumed_are_refused(tmp_path):
