@@ -156,8 +156,8 @@ def _from_here(flight: FlightRequest, basis: Basis) -> FlightRequest:
     """Return a flight that is resumed; from where its vehicles are, if they are beside its fold.
 
     Where they are farther from their places than is certified, the rest of the fold is planned and
-    certified from there. Where that is refused, the team only holds, at its places. Both is said on
-    standard error.
+    certified from there. Where that is refused, the team only holds, at its places. Either is said
+    on standard error.
     """
     plan, options = flight.flight_plan.plan, flight.options
     left = options.left

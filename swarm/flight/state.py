@@ -262,8 +262,8 @@ class Ending:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Where an interrupted team is: the mission ``time`` whose places are nearest, its ``places``
-    (n, 3), ENU metres of the plan, and the largest distance ``off`` its planned ones."""
+    """Where an interrupted team is: its ``places`` (n, 3), ENU metres of the plan, the mission
+    ``time`` whose planned places are nearest, and how far ``off`` them a vehicle is at most."""
 
     time: float
     places: Floats
