@@ -20,7 +20,7 @@ from swarm.certification.certificate import (
     certify_robustness,
     with_recorded_robustness,
 )
-from swarm.certification.clearances import PlanChecks, Robustness, certified, violations
+from swarm.certification.clearances import PlanChecks, Robustness, certified
 from swarm.errors import Refused
 from swarm.mission import Mission
 from swarm.planner.pacing import PacedPlan, slowed_for_swing, slower
@@ -160,7 +160,9 @@ def _shortest(
         longer = best is not None and shorter.flight_duration >= best.plan.flight_duration
         if longer and (in_wind or best is before):
             return "refused"
-        if violations(shorter) or _remaining(shorter) < _least_accepted(shorter, before):
+        tracking = shorter.mission.vehicles.tracking
+        short_of = _remaining(shorter) < _least_accepted(shorter, before)
+        if short_of or not certified(shorter, tracking=tracking):
             return "refused"  # as the certificate would, in a third of its time
         _measure(shorter, None)
         if _slowest(shorter) < least_rate:
@@ -169,9 +171,7 @@ def _shortest(
         if not (again.certificate.cleared and _as_safe(again, before)):
             return "refused"
         tilt = wind_tilt(shorter, aimed_wind(shorter.mission))
-        holds = effort is HURRIED or certified(
-            shorter, tracking=shorter.mission.vehicles.tracking, tilt=tilt
-        )
+        holds = effort.hurried or certified(shorter, tracking=tracking, tilt=tilt)
         if holds or best is before:
             best, in_wind = again, holds
         return "enough" if holds else "cleared"
@@ -189,17 +189,15 @@ def _shortest(
 def _as_safe(again: PlanningResult, before: PlanningResult | None) -> bool:
     """Return whether a cleared plan with another fold is no less safe than one before.
 
-    It holds for the tracking radius, no vehicle sinks farther than that in jets, the budget is no
-    shorter, and no check warns that did not before. Where there is none before, all can soon land
-    at any time.
+    No vehicle sinks farther than the tracking radius in jets, the budget is no shorter, and no
+    check warns that did not before. Where there is none before, all can soon land at any time.
     """
     plan, tracking = again.plan, again.plan.mission.vehicles.tracking
     sinking, warned = max(tracking, LEAST_SINKING), _warned(again) - {"windows"}
     if before is not None:
         sinking, warned = max(sinking, _deepest_sinking(before)), _warned(before)
     return bool(
-        certified(plan, tracking=tracking)
-        and _deepest_sinking(again) <= sinking
+        _deepest_sinking(again) <= sinking
         and least_remaining(again.assessment.budget) >= _least_accepted(plan, before)
         and _warned(again) <= warned
     )

@@ -63,7 +63,7 @@ Progress = Callable[[str, float], None]
 Verdict = Literal["refused", "cleared", "enough"]
 """Of a plan with a shorter fold: ``enough`` also holds in wind."""
 
-_SAMPLE = 0.05
+SAMPLE = 0.05
 """Seconds between the states of a fold."""
 
 _CONTROL_POINTS, _POINTS_PER_SECOND = 40, 0.55
@@ -108,7 +108,8 @@ a second long, and a stop reaches farther."""
 class Effort(NamedTuple):
     """Weights of the duration at ``first``, in ``later`` rounds and at ``last``, the decrement that
     ends a round when motions have ``converged``, and the largest numbers of ``rounds`` and of
-    ``steps`` of each."""
+    ``steps`` of each. A ``hurried`` search begins near its end, and the first cleared plan ends it.
+    """
 
     first: float
     later: float
@@ -116,15 +117,16 @@ class Effort(NamedTuple):
     converged: float
     rounds: int
     steps: int
+    hurried: bool
 
 
-THOROUGH = Effort(300.0, 1500.0, 12_000.0, 30.0, 8, 80)
+THOROUGH = Effort(300.0, 1500.0, 12_000.0, 30.0, 8, 80, hurried=False)
 """With 12,000, a hundred limits that hold the duration keep a 120th of their range. With 8,000, the
 overhand and the figure-eight are 0.5 and 1.5 s longer (results of plans, optimised folds). At the
 end, a step would save 0.1 % of the duration; with a third of that a seventh more steps, and the
 same folds. The square knot needs five rounds."""
 
-HURRIED = Effort(1500.0, 1500.0, 3000.0, 60.0, 3, 20)
+HURRIED = Effort(1500.0, 1500.0, 3000.0, 60.0, 3, 20, hurried=True)
 """For a team in the air, from a motion that is a plan's in part: folds are a sixth longer, after a
 quarter of the steps (results of plans, the rest of a fold)."""
 
@@ -202,7 +204,7 @@ class Shortening:
 
     def motion(self, fold: Fold) -> Motion:
         """Return the motion from time 0: quintics through states every 0.05 s."""
-        shares = np.linspace(0.0, 1.0, int(np.ceil(fold.duration / _SAMPLE)) + 1)
+        shares = np.linspace(0.0, 1.0, int(np.ceil(fold.duration / SAMPLE)) + 1)
         place, velocity, acceleration = self.problem.states(fold, shares)
         velocity[[0, -1]] = acceleration[[0, -1]] = 0.0
         return through_states(shares * fold.duration, place, velocity, acceleration)
@@ -247,7 +249,7 @@ def shorten(
     require_solvable(plan.vehicles, fold.duration, short.problem.count)
     fold, frozen = _slow_enough(short, fold)
     wanted = Wanted.nothing(frozen.needs)
-    if effort is HURRIED:
+    if effort.hurried:
         # the start is as quick as the fold will be: budgets ask of it what they will ask of that
         draft = short.plan_with(fold)
         at = short.times(draft)
@@ -268,7 +270,7 @@ def shorten(
             break
         verdict = accepted(draft)
         missed = np.zeros(len(room), dtype=np.bool_)
-        if verdict != "refused" or effort is not HURRIED:  # half of what a round takes
+        if verdict != "refused" or not effort.hurried:  # half of what a round takes
             missed = _missed_after_losses(short, draft)
         if verdict == "enough" and not missed.any():
             break
@@ -346,9 +348,9 @@ def _problem_of(plan: Plan) -> tuple[Problem, Fold]:
         limits,
         last,
         along - 0.5 * along[-1],
-        _before(mission, plan.layout.lengths, along - 0.5 * along[-1])
-        if not aloft
-        else np.empty((0, 4)),
+        np.empty((0, 4))
+        if aloft
+        else _before(mission, plan.layout.lengths, along - 0.5 * along[-1]),
         max(_CONTROL_POINTS, round(_POINTS_PER_SECOND * end)),
         cable_model(mission.cable.mass_per_length, mission.cable.diameter).normal_drag,
         float(jet_width(mission, np.zeros(1))[0]),
